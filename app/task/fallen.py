@@ -24,9 +24,7 @@ from perception.inference.relocate import relocate
 from perception.types import ObjectEstimate, RestingPose, RgbdFrame
 
 LEANING = np.deg2rad(15.0)  # tilt of what counts as leaning; images show it to a few degrees
-TURNED = np.deg2rad(
-    12.0
-)  # about the vertical, from which on two handles are not in line; images show 2 degrees
+TURNED = np.deg2rad(12.0)  # of a handle from its goal, or between two, from which on they are not in line
 AGREES = 0.65  # share of the visible pixels from which on an object is surely where it was placed
 BETTER = 0.1  # by which another pose in the box must explain more of them
 
@@ -112,16 +110,13 @@ def with_lost_found(result: TaskResult, frames: Sequence[RgbdFrame], box: Box) -
     others = list(placed_estimates(result).values())
     outcomes = list(result.outcomes)
     for number, outcome in enumerate(outcomes):
-        if outcome.placed or outcome.T_world_left is not None or outcome.name not in known:
+        is_lost = not outcome.placed and outcome.T_world_left is None
+        if not is_lost or outcome.name not in known or outcome.id not in by_id:
             continue
-        if outcome.id not in by_id:
-            continue
-        scene = SearchScene(frames, box_interior(box), others)
-        check = relocate(by_id[outcome.id], scene)
+        estimate = by_id[outcome.id]
+        check = relocate(estimate, SearchScene(frames, box_interior(box), others))
         if check is not None and check.inlier_share >= AGREES:
-            T_object_stand = (
-                np.linalg.inv(by_id[outcome.id].T_world_object) @ known[outcome.name].T_world_stand
-            )
+            T_object_stand = np.linalg.inv(estimate.T_world_object) @ known[outcome.name].T_world_stand
             outcomes[number] = replace(outcome, T_world_left=check.T_world_object @ T_object_stand)
     return replace(result, outcomes=outcomes)
 

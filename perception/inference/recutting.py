@@ -13,7 +13,6 @@ from itertools import combinations
 
 import cv2
 import numpy as np
-from jaxtyping import Float
 
 from perception.depth_cleaning import clean_frame
 from perception.detection.completion import PoseNamer, posed_detections
@@ -73,8 +72,7 @@ class Recutting:
         if not any(pieces):
             return rows, {}
         named = posed_detections(self.frames, pieces, self.planes, self.completer)
-        others = [[d for d in row if _number(d) < first_id] for row in cut]
-        recut = [[*o, *p] for o, p in zip(others, named, strict=True)]
+        recut = _recut(cut, instance_ids(pieces), named)
         return recut, {e.id: e for e in self.fit(_only(recut, instance_ids(named)))}
 
     def parted(
@@ -86,8 +84,8 @@ class Recutting:
     ) -> tuple[Rows, dict[int, ObjectEstimate]]:
         """Return the detections with instances cut between two colours, and the estimates of pieces, by id.
 
-        Of those that the pose network takes for something turned, where the fit to a piece is kept: they are
-        joined with what they touch, and no crease is seen between the two.
+        Of those that may lie, where the fit to a piece is kept: where an object touches another thing there need
+        not be a crease.
 
         Args:
             rows: Associated detections of each frame.
@@ -98,7 +96,7 @@ class Recutting:
         views = [clean_frame(frame) for frame in self.frames] if ids else []
         pieces: dict[int, int] = {}  # ids of the instances, by those of their pieces
         cut: list[list[ObjectDetection]] = [[] for _ in rows]
-        for id in sorted(id for id in ids if _may_be_turned(rows, id)):
+        for id in sorted(id for id in ids if _may_lie(rows, id)):
             own = {k: d for k, row in enumerate(rows) for d in row if d.instance_id == id}
             found = color_pieces({k: ObjectObservation(views[k], d.mask) for k, d in own.items()})
             if found is None:
@@ -112,19 +110,11 @@ class Recutting:
         if not pieces:
             return rows, {}
         named = posed_detections(self.frames, cut, self.planes, self.completer)
-        gone = set(pieces.values())
-        recut = [
-            [*(d for d in row if d.instance_id not in gone), *n] for row, n in zip(rows, named, strict=True)
-        ]
+        recut = _recut(rows, set(pieces.values()), named)
         kept = {e.id: e for e in self.fit(_only(recut, instance_ids(named))) if is_kept(e, recut)}
         gone = {pieces[piece] for piece in kept}
-        return [
-            [
-                *(d for d in row if d.instance_id not in gone),
-                *(d for d in new if d.instance_id is not None and pieces[d.instance_id] in gone),
-            ]
-            for row, new in zip(rows, named, strict=True)
-        ], kept
+        halves = {piece for piece, id in pieces.items() if id in gone}
+        return _recut(rows, gone, [[d for d in row if d.instance_id in halves] for row in named]), kept
 
     def agreed(
         self, rows: Rows, ids: Collection[int], is_kept: Callable[[ObjectEstimate], bool]
@@ -142,13 +132,9 @@ class Recutting:
         if not any(own):
             return rows, {}
         named = posed_detections(self.frames, own, self.planes, self.completer)
-        others = [[d for d in row if d.instance_id not in instance_ids(own)] for row in rows]
-        recut = [[*o, *n] for o, n in zip(others, named, strict=True)]
+        recut = _recut(rows, instance_ids(own), named)
         kept = {e.id: e for e in self.fit(_only(recut, instance_ids(named))) if is_kept(e)}
-        return [
-            [*(d for d in row if d.instance_id not in kept), *(d for d in new if d.instance_id in kept)]
-            for row, new in zip(rows, named, strict=True)
-        ], kept
+        return _recut(rows, set(kept), [[d for d in row if d.instance_id in kept] for row in named]), kept
 
     def joined(
         self, rows: Rows, ids: Collection[int], estimates: Mapping[int, ObjectEstimate], first_id: int
@@ -208,8 +194,7 @@ class Recutting:
         points = np.concatenate([instance_points(self.frames, rows, id) for id in pair])
         own = [[whole] if (whole := _union(row, pair, number)) else [] for row in rows]
         named = posed_detections(self.frames, own, self.planes, self.completer)
-        others = [[d for d in row if d.instance_id not in pair] for row in rows]
-        paired = [[*o, *p] for o, p in zip(others, named, strict=True)]
+        paired = _recut(rows, pair, named)
         estimate = next(iter(self.fit(_only(paired, {number}))), None)
         if estimate is None or unexplained(points, [estimate]) > EXPLAINED:
             return paired, None
@@ -237,6 +222,13 @@ def touching_pairs(rows: Rows, ids: Collection[int]) -> list[tuple[int, int]]:
     return sorted(near, key=lambda pair: (-sum(touches[pair]), pair))
 
 
+def _recut(rows: Rows, gone: Collection[int], pieces: Rows) -> list[list[ObjectDetection]]:
+    """Return the detections without those of some instances, and with others."""
+    return [
+        [*(d for d in row if d.instance_id not in gone), *new] for row, new in zip(rows, pieces, strict=True)
+    ]
+
+
 def _only(rows: Rows, ids: Collection[int]) -> Rows:
     """Return the detections, of which those of other instances have no id."""
     return [[d if d.instance_id in ids else replace(d, instance_id=None) for d in row] for row in rows]
@@ -247,18 +239,8 @@ def _number(detection: ObjectDetection) -> int:
 
 
 def _may_lie(rows: Rows, id: int) -> bool:
-    return pose_mass(_pose_probabilities(rows, id), "lying") >= LYING
-
-
-def _may_be_turned(rows: Rows, id: int) -> bool:
-    p = _pose_probabilities(rows, id)
-    return pose_mass(p, "lying") + pose_mass(p, "upside-down") >= LYING
-
-
-def _pose_probabilities(rows: Rows, id: int) -> Float[np.ndarray, "k"]:
-    """Return the mean of the pose network's probabilities of an instance over its views."""
     views = [d.pose_probabilities for row in rows for d in row if d.instance_id == id]
-    return mean_probabilities([p for p in views if p.size])
+    return pose_mass(mean_probabilities([p for p in views if p.size]), "lying") >= LYING
 
 
 def _union(row: Sequence[ObjectDetection], pair: tuple[int, int], number: int) -> ObjectDetection | None:
