@@ -84,8 +84,8 @@ class Recutting:
     ) -> tuple[Rows, dict[int, ObjectEstimate]]:
         """Return the detections with instances cut between two colours, and the estimates of pieces, by id.
 
-        Of those that may lie, where the fit to a piece is kept: where an object touches another thing there need
-        not be a crease.
+        Of those that may lie, where the fit to a piece is kept: where an object touches a thing there need not
+        be a crease.
 
         Args:
             rows: Associated detections of each frame.
