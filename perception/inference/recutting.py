@@ -84,7 +84,7 @@ class Recutting:
     ) -> tuple[Rows, dict[int, ObjectEstimate]]:
         """Return the detections with instances cut between two colours, and the estimates of pieces, by id.
 
-        Of those that may lie, where the fit to a piece is kept: where an object touches a thing there need not
+        Of those that may lie, where the fit to a piece is kept: beside what an object touches there need not
         be a crease.
 
         Args:
