@@ -108,15 +108,13 @@ def reconstruct_clutter(
         rows, agreed = recutting.agreed(rows, lost | weak, is_kept)
         single, lost = single | agreed, lost - set(agreed)
         free = 1 + max((*instance_ids(rows), *(part.id for part in parts)), default=-1)
-        rows, pieces = recutting.separated(rows, lost, free)
-        single |= {id: e for id, e in pieces.items() if _is_object(e, instance_points(frames, rows, id))}
-        candidates |= instance_ids(rows) - instance_ids(named)
-        free = max(free, 1 + max(instance_ids(rows), default=-1))
-        lost = candidates & instance_ids(rows) - set(single) - set(stacks)
         rows, parted = recutting.parted(
             rows, lost, free, lambda e, cut: _is_object(e, instance_points(frames, cut, e.id))
         )
-        single |= parted
+        single, lost = single | parted, lost & instance_ids(rows)
+        free = max(free, 1 + max(instance_ids(rows), default=-1))
+        rows, pieces = recutting.separated(rows, lost, free)
+        single |= {id: e for id, e in pieces.items() if _is_object(e, instance_points(frames, rows, id))}
         candidates |= instance_ids(rows) - instance_ids(named)
         free = max(free, 1 + max(instance_ids(rows), default=-1))
         rows, wholes = recutting.joined(rows, candidates - set(stacks), single, free)
