@@ -82,10 +82,13 @@ def test_parts_that_are_not_accepted_leave_the_whole(stack, rows):
 
 
 def test_weak_scores_suffice_for_parts_that_explain_nearly_all(stack, rows, monkeypatch):
+    """Of a detected object, that is: both parts of what has no class must be likely."""
     weak = [cylinder(stack.lower, 5, 0.25), replace(cylinder(stack.higher, 6, 0.4), rests_on=5)]
-    assert set(split(stack, rows, lambda *_: weak, frames=painted(stack))) == {4}
-    monkeypatch.setattr(stack_choice, "BEYOND_DOUBT", 0.0)
+    whole = [cylinder(stack.lower, 4, 0.6)]
+    assert set(split(stack, rows, lambda *_: weak, whole, frames=painted(stack))) == {4}
     assert split(stack, rows, lambda *_: weak, frames=painted(stack)) == {}
+    monkeypatch.setattr(stack_choice, "BEYOND_DOUBT", 0.0)
+    assert split(stack, rows, lambda *_: weak, whole, frames=painted(stack)) == {}
 
 
 @pytest.mark.parametrize(
@@ -94,9 +97,19 @@ def test_weak_scores_suffice_for_parts_that_explain_nearly_all(stack, rows, monk
 def test_parts_of_one_color_need_better_scores(stack, rows, scores, accepted):
     """A teapot and its lid are of one colour; so may two mugs be that are both seen well."""
     lower, upper = cylinder(stack.lower, 5, scores[0]), cylinder(stack.higher, 6, scores[1])
-    pair = [lower, replace(upper, rests_on=5)]
-    assert set(split(stack, rows, lambda *_: pair)) == ({4} if accepted else set())
-    assert set(split(stack, rows, lambda *_: pair, frames=painted(stack))) == {4}
+    pair, whole = [lower, replace(upper, rests_on=5)], [cylinder(stack.lower, 4, 0.6)]
+    assert set(split(stack, rows, lambda *_: pair, whole)) == ({4} if accepted else set())
+    assert set(split(stack, rows, lambda *_: pair, whole, frames=painted(stack))) == {4}
+
+
+@pytest.mark.parametrize("uncertain", [(4,), ()])
+def test_what_is_taken_for_a_thing_is_judged_as_such(stack, rows, monkeypatch, uncertain):
+    asked = []
+    monkeypatch.setattr(stack_parts, "are_two", lambda *args: asked.append(args[-1]) or False)
+    pair = [cylinder(stack.lower, 5), cylinder(stack.higher, 6)]
+    known = {4: cylinder(stack.lower, 4, 0.2)}
+    split_stacks(frames_of(stack), rows, known, [PLANE], Namer(), lambda *_: pair, uncertain=uncertain)
+    assert set(asked) == {4 in uncertain}
 
 
 @pytest.mark.parametrize(("gap", "accepted"), [(0.026, True), (0.035, False)])
