@@ -93,19 +93,18 @@ def reconstruct_clutter(
 
     model = options.acceptance
     with single_threaded():
-        unlikely = _uncertain(estimates, named, model)
-        stacks = split_stacks(frames, rows, estimates, planes, completer, fit, options.workers, unlikely)
+        weak = _uncertain(estimates, named, model)
+        stacks = split_stacks(frames, rows, estimates, planes, completer, fit, options.workers, weak)
         stacks = without_repeated_stacks(frames, rows, stacks)
         parts = [part for pair in stacks.values() for part in pair]
         single = {id: estimate for id, estimate in estimates.items() if id not in stacks}
         lost = candidates - set(single) - set(stacks)
         recutting = Recutting(frames, planes, completer, lambda cut: fit(cut, {}), options.workers)
-        weak = unlikely - set(stacks)
 
         def is_kept(e: ObjectEstimate) -> bool:
             return is_clear(e) if e.id in candidates else _existence(e, named, model) >= UNCERTAIN
 
-        rows, agreed = recutting.agreed(rows, lost | weak, is_kept)
+        rows, agreed = recutting.agreed(rows, lost | weak - set(stacks), is_kept)
         single, lost = single | agreed, lost - set(agreed)
         free = 1 + max((*instance_ids(rows), *(part.id for part in parts)), default=-1)
         rows, parted = recutting.parted(

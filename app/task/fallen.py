@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float
 
 from app.task.obstacles import box_interior
-from app.task.rounds import expected_pose, placed_estimates
+from app.task.rounds import expected_pose, placed_estimates, stand_pose
 from app.task.task_types import TaskResult
 from manipulation.lying_grasps import is_upside_down, lies
 from manipulation.observation import turn_between
-from manipulation.types import Box, StandingObject
+from manipulation.types import Box, ObjectOutcome, StandingObject
 from perception.geometry import levelled
 from perception.inference.depth_votes import SearchScene
 from perception.inference.refit import PoseCheck
@@ -90,9 +90,9 @@ def left_in_box(result: TaskResult, box: Box) -> list[ObjectEstimate]:
     return found
 
 
-def are_lost(result: TaskResult) -> bool:
-    """Return whether something is neither in its place nor was found anywhere."""
-    return any(not outcome.placed and outcome.T_world_left is None for outcome in result.outcomes)
+def is_something_lost(result: TaskResult) -> bool:
+    """Return whether an object is neither in its place nor was found anywhere."""
+    return any(_is_lost(outcome) for outcome in result.outcomes)
 
 
 def with_lost_found(result: TaskResult, frames: Sequence[RgbdFrame], box: Box) -> TaskResult:
@@ -106,18 +106,17 @@ def with_lost_found(result: TaskResult, frames: Sequence[RgbdFrame], box: Box) -
         box: the box.
     """
     assert result.plan is not None
-    by_id, known = {e.id: e for e in result.objects}, result.plan.objects
-    others = list(placed_estimates(result).values())
+    by_id = {estimate.id: estimate for estimate in result.objects}
+    scene = SearchScene(frames, box_interior(box), list(placed_estimates(result).values()))
     outcomes = list(result.outcomes)
     for number, outcome in enumerate(outcomes):
-        is_lost = not outcome.placed and outcome.T_world_left is None
-        if not is_lost or outcome.name not in known or outcome.id not in by_id:
+        if not _is_lost(outcome) or outcome.id not in by_id:
             continue
         estimate = by_id[outcome.id]
-        check = relocate(estimate, SearchScene(frames, box_interior(box), others))
+        check = relocate(estimate, scene)
         if check is not None and check.inlier_share >= AGREES:
-            T_object_stand = np.linalg.inv(estimate.T_world_object) @ known[outcome.name].T_world_stand
-            outcomes[number] = replace(outcome, T_world_left=check.T_world_object @ T_object_stand)
+            T_left = stand_pose(estimate, result.plan, check.T_world_object)
+            outcomes[number] = replace(outcome, T_world_left=T_left)
     return replace(result, outcomes=outcomes)
 
 
@@ -130,6 +129,10 @@ def items_left(result: TaskResult, left: Sequence[ObjectEstimate]) -> dict[str, 
         for estimate in left
         if (T := T_left[estimate.id]) is not None
     }
+
+
+def _is_lost(outcome: ObjectOutcome) -> bool:
+    return not outcome.placed and outcome.T_world_left is None
 
 
 def _out_of_line(mugs: Mapping[int, ObjectEstimate], checks: Mapping[int, PoseCheck]) -> list[int]:

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.task.fallen import are_lost, fallen_objects, items_left, left_in_box, with_lost_found
+from app.task.fallen import fallen_objects, is_something_lost, items_left, left_in_box, with_lost_found
 from app.task.further_views import MOST_CLOSER
 from app.task.nests import with_bowls_named
 from app.task.obstacles import bounds_of, filled_bounds, known_bounds, obstacles_during, table_of
@@ -150,7 +150,7 @@ class FurtherRounds:
         if not is_something_left(result, stages.latest):
             return None
         try:
-            if box is not None and are_lost(result):
+            if box is not None and is_something_lost(result):
                 result = with_lost_found(result, stages.look_into_box(), box)
             frames = stages.scan(FULL_SCAN)
             n_scanned = len(frames)

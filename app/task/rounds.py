@@ -107,6 +107,14 @@ def expected_pose(
     return outcome.T_world_stand @ T_stand_object
 
 
+def stand_pose(
+    estimate: ObjectEstimate, plan: TaskPlan, T_world_object: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "4 4"]:
+    """Return T_world_stand of an object that was seen at another pose: the inverse of ``expected_pose``."""
+    T_object_stand = np.linalg.inv(estimate.T_world_object) @ plan.objects[estimate.name].T_world_stand
+    return T_world_object @ T_object_stand
+
+
 def placed_estimates(result: TaskResult) -> dict[int, ObjectEstimate]:
     """Return the estimates of the placed objects where they are now, by id."""
     assert result.plan is not None

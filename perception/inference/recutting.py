@@ -23,7 +23,7 @@ from perception.inference.explanation import unexplained
 from perception.inference.observation import ObjectObservation
 from perception.inference.reconstruct import mean_probabilities
 from perception.inference.stack_parts import Rows, instance_points
-from perception.inference.touching import touching_pieces
+from perception.inference.touching import MIN_PIXELS, touching_pieces
 from perception.threads import worker_pool
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane, unclassified
 
@@ -32,7 +32,6 @@ MOST = 6  # pairs that are tried
 EXPLAINED = 0.12  # largest share of their points that the joint shape leaves unexplained
 CLEAR = 0.75  # least score of what is joined
 WORSE = 0.05  # by how much it may be lower than that of a part beside which the other one is no object
-MIN_PIXELS = 150  # of a piece in a view
 GAP = 5  # [px] between the masks of one object
 
 
@@ -93,12 +92,11 @@ class Recutting:
             first_id: Least id of a piece.
             is_kept: Whether the estimate of a piece, given the detections with it, is good enough.
         """
-        views = [clean_frame(frame) for frame in self.frames] if ids else []
         pieces: dict[int, int] = {}  # ids of the instances, by those of their pieces
         cut: list[list[ObjectDetection]] = [[] for _ in rows]
         for id in sorted(id for id in ids if _may_lie(rows, id)):
             own = {k: d for k, row in enumerate(rows) for d in row if d.instance_id == id}
-            found = color_pieces({k: ObjectObservation(views[k], d.mask) for k, d in own.items()})
+            found = color_pieces({k: ObjectObservation(self.frames[k], d.mask) for k, d in own.items()})
             if found is None:
                 continue
             for number in (0, 1):

@@ -70,10 +70,11 @@ def are_two(
         points: Their measured points in the world frame, in metres.
         before: Share of the points that the whole leaves unexplained.
         plane: Support plane.
-        is_left_out: Whether the whole is taken for a thing of no class: likely parts need not be better then.
+        is_left_out: Whether the whole is taken for a thing of no class: parts that would be accepted of such
+            a thing need not explain more.
     """
-    if is_left_out and are_likely(pair):
-        whole, before = None, 1.0
+    if is_left_out and _is_better(pair, None, points, 1.0):
+        return True
     if whole is None or is_doubtful(whole, before):
         return _is_better(pair, whole, points, before)
     if unexplained(points, pair) >= DOUBTFUL or not all(is_vessel(e) for e in (*pair, whole)):

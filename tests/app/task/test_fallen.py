@@ -10,8 +10,8 @@ from app.task.fallen import (
     AGREES,
     LEANING,
     TURNED,
-    are_lost,
     fallen_objects,
+    is_something_lost,
     items_left,
     left_in_box,
     with_lost_found,
@@ -190,11 +190,11 @@ def test_what_was_lost_is_found_where_it_lies_in_the_box(
         ObjectOutcome(2, "can_2", False, 1, "stuck", None, inside),
     ]
     result = TaskResult(objects=list(objects.values()), plan=plan, outcomes=outcomes)
-    assert are_lost(result)
+    assert is_something_lost(result)
     latest = with_lost_found(result, (), Box())
     assert scenes == [(1, [0])], "it alone is searched for, beside what has its place"
     assert latest.outcomes[0] is outcomes[0] and latest.outcomes[2] is outcomes[2]
-    assert are_lost(latest) is not is_found
+    assert is_something_lost(latest) is not is_found
     if is_found:
         (found,) = (e for e in left_in_box(latest, Box()) if e.id == 1)
         np.testing.assert_allclose(found.T_world_object, lying, atol=1e-9)

@@ -17,6 +17,7 @@ from app.task.rounds import (
     placed_items,
     places_of_left,
     renumbered,
+    stand_pose,
     unplaced_estimates,
     with_round,
     without_covered,
@@ -43,6 +44,7 @@ def test_the_expected_pose_is_that_of_the_object_carried_with_its_stand_frame(ca
     T = expected_pose(can_at(), pack_plan, outcome)
     np.testing.assert_allclose(T[:3, 3], (0.5, 0.27, 0.054), atol=1e-9)
     np.testing.assert_allclose(np.linalg.inv(REST) @ T, np.linalg.inv(stand) @ T_before, atol=1e-9)
+    np.testing.assert_allclose(stand_pose(can_at(), pack_plan, T), REST, atol=1e-9)
 
 
 def test_a_round_follows_what_left_something_and_changed_the_table(result, pack_plan):

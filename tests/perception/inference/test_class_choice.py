@@ -96,7 +96,7 @@ def test_weak_evidence_is_compared_although_the_detector_is_sure(choose) -> None
         ((0.3, "not_converged"), 0.7, 2, False, [30], 0.3),
     ],
 )
-def test_a_poor_fit_to_several_views_that_has_not_converged_is_continued(
+def test_a_poor_fit_to_several_views_that_has_not_converged_is_made_again(
     monkeypatch, decoder, first, longer, seen, is_detected, iterations, score
 ) -> None:
     """Of an object that the detector named: the parts of what may be a stack are many."""

@@ -211,8 +211,8 @@ def two_colors(monkeypatch):
 def test_what_touches_without_a_crease_is_parted_by_colour(monkeypatch, two_colors):
     fits = Fits(monkeypatch, {10: 0.9, 11: 0.4})
     kept = lambda e, rows: e.score > 0.5 and e.id in instance_ids(rows)  # noqa: E731
-    rows, found = fits.recutting.parted(halves(), {3, 5}, 10, kept)
-    assert found.keys() == {10} and instance_ids(rows) == {1, 5, 10, 11}, "nothing of 5 is an object"
+    rows, objects = fits.recutting.parted(halves(), {3, 5}, 10, kept)
+    assert objects.keys() == {10} and instance_ids(rows) == {1, 5, 10, 11}, "nothing of 5 is an object"
     masks = {d.instance_id: d.mask for d in rows[0]}
     np.testing.assert_array_equal(masks[10], columns(0, 2))
     np.testing.assert_array_equal(masks[11], columns(2, 4))

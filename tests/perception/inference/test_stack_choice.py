@@ -150,6 +150,8 @@ def test_likely_parts_replace_what_is_taken_for_a_thing(leave, score, accepted):
     pair = [CANS[0], replace(CANS[1], score=score)]
     assert are_two(pair, shape(score=0.2), POINTS, 0.08, PLANE, is_left_out=True) is accepted
     assert not are_two(pair, shape(score=0.2), POINTS, 0.08, PLANE)
+    leave(0.02)
+    assert are_two(pair, shape(score=0.2), POINTS, 0.08, PLANE, is_left_out=True), "they explain more"
     leave(0.2)
     assert not are_two(CANS, shape(score=0.2), POINTS, 0.3, PLANE, is_left_out=True)
 
