@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import permutations
+from itertools import permutations, product
 from typing import cast
 
 import numpy as np
@@ -24,7 +24,13 @@ from sim_assets.objects import ObjectModel
 LYING_TILT = (np.deg2rad(60), np.deg2rad(120))
 UPSIDE_DOWN_TILT = np.deg2rad(165)
 STACKED_TILT = np.deg2rad(25)  # largest tilt of an object that stands on or in another one
-TILTED = np.deg2rad(6)  # by which a thing of no class is tilted: what balances falls
+# By which a thing of no class is tilted about both horizontal axes, and by how much its vertical differs then
+# if it fell. What balances on an edge falls by less than what stands on its tip; what rolls stays as turned.
+TILTED = ((np.deg2rad(6), FALLEN_TILT), (np.deg2rad(2), np.deg2rad(4)))
+_SIDES = tuple(
+    np.array(side) for side in ((1.0, 1.0, 0.0), (-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (-1.0, 1.0, 0.0))
+)
+MOST_FALLS = 4  # until a thing rests on what it does not fall from
 SUPPORTED = 0.005  # [m], smallest height of its base above the table
 MOST_STEPS = 3000  # candidates that a search examines before the counts are refused
 _LYING: tuple[Category, ...] = ("bottle", "can", "mug")
@@ -109,23 +115,26 @@ def rest_unknown(thing: UnknownThing, name: str) -> Group:
         UnstableError: it does not come to rest.
     """
     settled = settle([(thing, _raised(np.eye(4), 0.001))])
-    if settled.at_rest:
-        settled = _fallen_when_tilted(thing, settled.poses[0]) or settled
+    for _ in range(MOST_FALLS):
+        fallen = _fallen_when_tilted(thing, settled.poses[0]) if settled.at_rest else None
+        if fallen is None:
+            break
+        settled = fallen
     if not settled.at_rest:
         raise UnstableError(f"the thing of no class {name} does not come to rest", name)
     return _group({0: settled.poses[0]}, {0: thing.hulls})
 
 
 def _fallen_when_tilted(thing: UnknownThing, T_world_thing: Float[np.ndarray, "4 4"]) -> Settled | None:
-    """Return where a thing comes to rest after a slight tilt to either side; None if that is as before."""
+    """Return where a thing comes to rest after a slight tilt to any side; None if that is as before."""
     corners = np.asarray(thing.hulls.vertices)
-    for side in (1.0, -1.0):
+    for (angle, fallen), side in product(TILTED, _SIDES):
         T = T_world_thing.copy()
-        T[:3, :3] = Rotation.from_rotvec(side * TILTED * np.array([1.0, 1.0, 0.0])).as_matrix() @ T[:3, :3]
+        T[:3, :3] = Rotation.from_rotvec(angle * side).as_matrix() @ T[:3, :3]
         lowest = float((corners @ T[2, :3]).min())
         T[2, 3] = 0.001 - lowest
         settled = settle([(thing, T)])
-        if abs(tilt(settled.poses[0]) - tilt(T_world_thing)) > FALLEN_TILT:
+        if np.arccos(np.clip(settled.poses[0][2, :3] @ T_world_thing[2, :3], -1.0, 1.0)) > fallen:
             return settled
     return None
 
