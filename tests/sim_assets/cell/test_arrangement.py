@@ -133,8 +133,8 @@ def test_an_egg_on_its_tip_lies_down_and_a_carton_stays():
 
 @pytest.mark.parametrize("yaw", [0.0, np.pi / 4, np.pi / 2])
 def test_what_balances_on_an_edge_lies_on_a_face(yaw):
-    """Of a prism with 24 faces, the next of which are 7.5 degrees away."""
-    prism = trimesh.creation.cylinder(0.03, 0.1, sections=24)
+    """Of a prism with 18 faces, the next of which are 10 degrees away."""
+    prism = trimesh.creation.cylinder(0.03, 0.1, sections=18)
     prism.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
     lowest = prism.vertices[np.argmin(prism.vertices[:, 2])]
     prism.apply_transform(
@@ -146,7 +146,7 @@ def test_what_balances_on_an_edge_lies_on_a_face(yaw):
     assert (vertices[:, 2] < 1e-4).sum() == 2, "on an edge"
     group = rest_unknown(UnknownThing(prism, (hull(vertices),), 0.1), "unknown0")
     turn = np.rad2deg(tilt(group.Ts_group_object[0]))
-    assert turn % 15 == pytest.approx(7.5, abs=1), "it may roll over several faces"
+    assert turn % 20 == pytest.approx(10, abs=1), "it may roll over several faces"
 
 
 def test_a_thing_that_does_not_come_to_rest_is_named(monkeypatch):
