@@ -197,8 +197,9 @@ def _divided(cluster: Sequence[Footprint], images: Images, config: GroupingConfi
     """Return the detections of each object, possibly several of one view.
 
     The number of objects is the mode of the views' detection counts, the larger one in a tie: two detections
-    in one view are rarely one object. Among the views with that count, the one with the largest footprints
-    provides the anchors to which the other detections are assigned.
+    in one view are rarely one object. Among the views with that count, one provides the anchors to which the
+    other detections are assigned: that with which the fewest are mergers of several, and the largest
+    footprints. One that shows an object in pieces makes mergers of all that show it whole.
     """
     count_of_view = Counter(f.view for f in cluster)
     if max(count_of_view.values()) == 1:
@@ -206,8 +207,14 @@ def _divided(cluster: Sequence[Footprint], images: Images, config: GroupingConfi
     votes = Counter(count_of_view.values())
     n_objects = max(votes, key=lambda n: (votes[n], n))
     views = [view for view, n in count_of_view.items() if n == n_objects]
-    area = {v: sum(images[f].sum() for f in cluster if f.view == v) for v in views}
-    anchors = [f for f in cluster if f.view == max(views, key=lambda v: area[v])]
+    divisions = [_around([f for f in cluster if f.view == view], cluster, images, config) for view in views]
+    return max(divisions, key=lambda groups: (sum(map(len, groups)), sum(images[g[0]].sum() for g in groups)))
+
+
+def _around(
+    anchors: Sequence[Footprint], cluster: Sequence[Footprint], images: Images, config: GroupingConfig
+) -> list[list[Footprint]]:
+    """Return the detections that cover most of each anchor, without those that cover several of them."""
     groups: list[list[Footprint]] = [[anchor] for anchor in anchors]
     for f in cluster:
         if f in anchors:
