@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from manipulation.candidates import DRAGGING, NO_WAY, Tally, are_similar, ordered_yaws
+from manipulation.candidates import NO_WAY, Tally, are_similar, ordered_yaws
 from manipulation.grasps import grasp_candidates
 from manipulation.motions import OUT_OF_REACH
 from manipulation.standing import to_standing
@@ -88,6 +88,3 @@ def test_a_posture_that_no_path_leads_from_is_enclosed():
     assert not tally.is_enclosed
     tally.reject(NO_WAY)
     assert tally.is_enclosed and "without a collision-free path to the object" in tally.reasons
-    assert not tally.would_drag
-    tally.reject(Rejected(DRAGGING, "can_2"))
-    assert tally.would_drag and tally.in_the_way == ("can_2",)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from manipulation.candidates import DRAGGING
 from manipulation.collision import AllowedContacts, Body, CollisionWorld
 from manipulation.grasps import grasp_candidates
 from manipulation.hulls import convex_pieces
@@ -113,24 +112,6 @@ def test_what_touches_a_thing_of_no_class_is_lifted_along_it(kinematics, can, ov
     thing = block_beside(can, across(can, grasp), -overlap, 0.04)
     pick = find_pick(among(kinematics, can, things=(thing,)), can.name, grasp, STRAIGHT)
     assert isinstance(pick, Pick) if is_lifted else pick == Rejected("collide with thing_0")
-
-
-def test_what_has_no_way_but_along_a_thing_waits_for_what_blocks_the_others(kinematics, can, shapes):
-    """Between a thing and a lower can it is lifted straight or names that can; without it, obliquely."""
-    grasp = first_grasp(among(kinematics, can), can)
-    toward = across(can, grasp)
-    thing = block_beside(can, toward, -0.001, 0.04)
-    x, y = can.T_world_stand[:2, 3] - 0.066 * toward  # a gap of 8 mm
-    low = to_standing(shapes.estimate(2, "can", shapes.can(0.025, 0.07), x=float(x), y=float(y)))
-    gently = replace(CONFIG, lift=replace(CONFIG.lift, drags=False, oblique_azimuths=(0.0,)))
-    along = replace(gently, lift=replace(gently.lift, drags=True))
-    beside = among(kinematics, can, low, things=(thing,))
-    pick = find_pick(beside, can.name, grasp, gently)
-    assert pick == Rejected(DRAGGING) and pick.blocker == low.name
-    pick = find_pick(beside, can.name, grasp, along)
-    assert isinstance(pick, Pick) and is_straight(kinematics, pick)
-    pick = find_pick(among(kinematics, can, things=(thing,)), can.name, grasp, gently)
-    assert isinstance(pick, Pick) and step_of(kinematics, pick.lift)[:2] @ toward < -0.04
 
 
 @pytest.mark.parametrize("height", [0.04, 0.12])

@@ -293,28 +293,6 @@ def test_a_lying_object_is_turned_at_its_goal_or_on_free_table(items):
     assert planner.requests[-1][1] is TILTED
 
 
-@pytest.mark.parametrize("lies_down", [False, True])
-@pytest.mark.parametrize("would_drag", [False, True])
-def test_only_with_more_effort_a_thing_is_dragged_along(items, would_drag, lies_down):
-    """And only if that is what an object has no plan without."""
-    planner, asked = lying(items) if lies_down else FakePlanner(items), []
-
-    def plan(goals, q, tried=(), grasps=None, contents=(), drags=True):
-        asked.append(drags)
-        if drags and would_drag:
-            return FakePlanner(items, lambda goals, grasps: True).plan(goals, q)
-        raise NoPlanError("No plan", ("bowl_2",), would_drag=would_drag)
-
-    planner.plan = plan
-    planned = planning(items, planner)
-    with pytest.raises(NoPlanError) as error:
-        planned.next_plan(GOAL, Q)
-    assert asked == [False] and error.value.would_drag is would_drag and error.value.blockers == ("bowl_2",)
-    if would_drag:
-        assert planned.next_plan(GOAL, Q, effort=Effort.FLEXIBLE).name == GOAL.name
-        assert asked == [False, True], "what failed is not tried again"
-
-
 @pytest.mark.parametrize("far", [0.45, 0.0])
 def test_what_lies_is_set_upright_where_it_can_be_taken_on(items, far):
     """Or anywhere, if that is nowhere within reach."""
