@@ -12,7 +12,6 @@ from manipulation.motions import OUT_OF_REACH
 from manipulation.types import Grasp, GraspSet, Placement, Rejected
 from perception.geometry import pose_from_yaw
 
-DRAGGING = "dragging a thing of no class along"
 NO_WAY = Rejected("without a collision-free path to the object")
 _STEEP = -0.8  # vertical component of the approach, up to which the hand points down
 
@@ -41,11 +40,6 @@ class Tally:
     def is_enclosed(self) -> bool:
         """Whether candidates were discarded because no path leads to them."""
         return self.reasons[NO_WAY.reason] > 0
-
-    @property
-    def would_drag(self) -> bool:
-        """Whether candidates were discarded because they would drag a thing of no class along."""
-        return self.reasons[DRAGGING] > 0
 
     def failure_message(self, name: str, candidates: GraspSet) -> str:
         """Return the error message for an object without a plan: counts by reason and a remedy."""

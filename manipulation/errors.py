@@ -15,18 +15,11 @@ class NoPlanError(PlanningError):
     Attributes:
         blockers: names of the objects and things that are in the way, the most frequent first.
         is_enclosed: whether no path was found from the present posture to an object that could be grasped.
-        would_drag: whether candidates were discarded because they would drag a thing of no class along.
     """
 
-    def __init__(
-        self,
-        message: str,
-        blockers: tuple[str, ...] = (),
-        is_enclosed: bool = False,
-        would_drag: bool = False,
-    ) -> None:
+    def __init__(self, message: str, blockers: tuple[str, ...] = (), is_enclosed: bool = False) -> None:
         super().__init__(message)
-        self.blockers, self.is_enclosed, self.would_drag = blockers, is_enclosed, would_drag
+        self.blockers, self.is_enclosed = blockers, is_enclosed
 
 
 class RobotError(ManipulationError):

@@ -2,8 +2,7 @@
 
 What is held far from its middle sags: it turns about the line through both pads, the heavy end down, by a
 few degrees that no plan knows. A lift is therefore checked with the object sagging as well. An object that
-touches another one leaves it obliquely where there is room: dragged up along it, it may tip it. Where there
-is none, other objects may be taken first.
+touches another one leaves it obliquely where there is room: dragged up along it, it may tip it.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from manipulation.candidates import DRAGGING
 from manipulation.collision import AllowedContacts, CollisionWorld
 from manipulation.motions import MotionPlanner
 from manipulation.obstacles import TABLE
@@ -44,7 +42,6 @@ class LiftConfig:
         margin: clearance of the carried object from its neighbours during the lift in [m].
         end_margin: clearance of robot and carried object at the end of the lift, from where it is carried on,
             in [m].
-        drags: whether a lift along a thing of no class is accepted.
     """
 
     heights: tuple[float, ...] = (0.20, 0.12, 0.28)
@@ -52,7 +49,6 @@ class LiftConfig:
     oblique_elevation: float = 0.7
     margin: float = 0.002
     end_margin: float = 0.004
-    drags: bool = True
 
 
 def find_lift(
@@ -67,7 +63,7 @@ def find_lift(
 
     It is straight up if that is free even with the object sagging. Else it is oblique, away from what the
     object touches or would sag into. If no such lift is free, it is straight up all the same, along what the
-    object touches, and last oblique without regard to sagging. Along a thing it is only if ``config.drags``.
+    object touches, and last oblique without regard to sagging.
 
     Args:
         motions: planner; its world has the object attached to the hand.
@@ -94,7 +90,7 @@ class _Lift:
     def find(self) -> Postures | Rejected:
         upward = [moved(self.T_grasp, np.array([0.0, 0.0, height])) for height in self.config.heights]
         allowed = AllowedContacts(touch_carried=frozenset({TABLE.name}), carried_margin=self.config.margin)
-        lift, beside, blocker = self._line(upward, allowed), "", ""
+        lift, beside = self._line(upward, allowed), ""
         if isinstance(lift, Rejected):
             touching = in_contact(self.motions.world, self.name, self.q, self.grasp.held_width, allowed)
             if touching is not None:
@@ -104,19 +100,13 @@ class _Lift:
         else:
             beside = self._sags_into(lift, allowed)
         if beside:
-            for line in self._oblique(beside, allowed):
-                if isinstance(line, Rejected):
-                    blocker = blocker or line.blocker
-                elif not self._sags_into(line, allowed):
-                    return line
-        if isinstance(lift, Rejected) and (lift.by_arm or not lift.blocker):
+            oblique = self._oblique(beside, allowed)
+            steady = next((line for line in oblique if not self._sags_into(line, allowed)), None)
+            if steady is not None:
+                return steady
+        if not isinstance(lift, Rejected) or not lift.blocker or lift.by_arm:
             return lift
-        if not self.config.drags and allowed.slide_carried.keys() & self.motions.world.perceived:
-            return Rejected(DRAGGING, blocker)
-        if not isinstance(lift, Rejected):
-            return lift
-        lines = self._oblique(lift.blocker, allowed)
-        return next((line for line in lines if not isinstance(line, Rejected)), lift)
+        return next(self._oblique(lift.blocker, allowed), lift)
 
     def _line(
         self, targets: Sequence[Float[np.ndarray, "4 4"]], allowed: AllowedContacts
@@ -124,8 +114,8 @@ class _Lift:
         width, end_margin = self.grasp.held_width, self.config.end_margin
         return self.motions.free_line(self.q, targets, width, allowed, end_margin)
 
-    def _oblique(self, blocker: str, allowed: AllowedContacts) -> Iterator[Postures | Rejected]:
-        """Yield lifts away from something, by its name, or why they are not free."""
+    def _oblique(self, blocker: str, allowed: AllowedContacts) -> Iterator[Postures]:
+        """Yield free lifts away from something, by its name."""
         world, config = self.motions.world, self.config
         away = world.pose(self.name)[:2, 3] - world.center(blocker)[:2]
         for turn in config.oblique_azimuths:
@@ -133,7 +123,9 @@ class _Lift:
             level = np.cos(config.oblique_elevation)
             up = np.sin(config.oblique_elevation)
             direction = np.array([level * np.cos(azimuth), level * np.sin(azimuth), up])
-            yield self._line([moved(self.T_grasp, height * direction) for height in config.heights], allowed)
+            line = self._line([moved(self.T_grasp, height * direction) for height in config.heights], allowed)
+            if not isinstance(line, Rejected):
+                yield line
 
     def _sags_into(self, lift: Postures, allowed: AllowedContacts) -> str:
         """Return the name of what the object would meet in a lift if it sagged; empty if there is nothing."""

@@ -43,10 +43,8 @@ Posture = Float[np.ndarray, "n"]
 class Effort(IntEnum):
     """Means of planning, each in addition to those before it."""
 
-    PLAIN = 0  # to the goal, with the grasps of the object's shape, without dragging things along
-    FLEXIBLE = (
-        1  # along things; other places in the box; any angle of the hand; released from a little higher
-    )
+    PLAIN = 0  # to the goal, with the grasps of the object's shape
+    FLEXIBLE = 1  # other places in the box; any angle of the hand; released from a little higher
     CLEARING = 2  # what blocks an object is set aside, or it is pushed to where it can be grasped
     BESIDE = 3  # a bowl is placed beside those that it was to be put in
 
@@ -95,7 +93,7 @@ class ObjectPlanning:
         if blocked > len(placement.stack[:1]):
             goals = [*self._places_elsewhere(placement), *goals]
         try:
-            return self._plan_gently(goals, q, tried, effort, sure)
+            return self._plan(goals, q, tried, sure)
         except PlanningError as error:
             if effort == Effort.PLAIN:
                 raise
@@ -281,14 +279,14 @@ class ObjectPlanning:
         if not goals:
             raise PlanningError(f"{at}: no free table to turn it")
         try:
-            return self._plan_gently(goals, q, tried, effort)
+            return self._plan(goals, q, tried)
         except NoPlanError as error:
             if effort > Effort.PLAIN:
                 elsewhere = [] if overturned else self._places_elsewhere(placement)
                 with contextlib.suppress(PlanningError):
                     return self._plan([*goals, *elsewhere], q, tried, is_tilted=True)
             raise NoPlanError(
-                f"{at} and cannot be turned: {error}", error.blockers, error.is_enclosed, error.would_drag
+                f"{at} and cannot be turned: {error}", error.blockers, error.is_enclosed
             ) from error
 
     def _best_to_turn(self, goals: Sequence[Placement]) -> list[Placement]:
@@ -339,26 +337,6 @@ class ObjectPlanning:
             raise PlanningError(f"{name} holds no bowls that are to be packed")
         return self._plan(goals, q, tried, is_tilted=True, contents=contents)
 
-    def _plan_gently(
-        self,
-        goals: Sequence[Placement],
-        q: Posture,
-        tried: Sequence[Grasp],
-        effort: Effort,
-        grasps: GraspSet | None = None,
-    ) -> PickPlacePlan:
-        """Return the plan to the first feasible goal, with more effort also if it drags a thing along.
-
-        Raises:
-            NoPlanError: there is none.
-        """
-        try:
-            return self._plan(goals, q, tried, grasps, drags=False)
-        except NoPlanError as error:
-            if effort == Effort.PLAIN or not error.would_drag:
-                raise
-        return self._plan(goals, q, tried, grasps)
-
     def _plan(
         self,
         goals: Sequence[Placement],
@@ -367,7 +345,6 @@ class ObjectPlanning:
         grasps: GraspSet | None = None,
         is_tilted: bool = False,
         contents: Sequence[str] = (),
-        drags: bool = True,
     ) -> PickPlacePlan:
         """Return the plan to the first feasible goal; what failed is not tried again in the same scene.
 
@@ -380,7 +357,6 @@ class ObjectPlanning:
             grasps is None,
             len(tried),
             tuple(contents),
-            drags,
             *((goal.name, goal.position, goal.stack, goal.release_height) for goal in goals),
         )
         failure = self._failures.get((planner.scene_state, key))
@@ -388,7 +364,7 @@ class ObjectPlanning:
             raise failure
         try:
             grasps = planner.tilted_grasps(goals[0].name) if is_tilted else grasps
-            return planner.plan(goals, q, tried, grasps, contents, drags)
+            return planner.plan(goals, q, tried, grasps, contents)
         except NoPlanError as error:
             if not error.is_enclosed:  # which depends on the posture too
                 self._failures[planner.scene_state, key] = error

@@ -90,8 +90,6 @@ class PickPlacePlanner:
         self.kinematics, self.config = kinematics, config
         self.items = dict(items)
         self._obstacles = tuple(obstacles)
-        segments = config.segments
-        self._gentle = replace(segments, lift=replace(segments.lift, drags=False))
         self._known = KnownGrasps(self.items, config.grasp, self._points_around, grasps)
         self._surfaces = Surfaces()
         self._lifts: dict[tuple[str, ...], float] = {}  # of the last bowls of stacks
@@ -288,7 +286,6 @@ class PickPlacePlanner:
         tried: Collection[Grasp] = (),
         grasps: GraspSet | None = None,
         contents: Sequence[str] = (),
-        drags: bool = True,
     ) -> PickPlacePlan:
         """Plan all motions for one object from the present posture.
 
@@ -298,7 +295,6 @@ class PickPlacePlanner:
             tried: grasps that failed; these and similar ones are excluded.
             grasps: candidates other than those of ``grasps``.
             contents: names of objects in it that are carried with it.
-            drags: whether it may be lifted along a thing of no class that it touches.
 
         Raises:
             NoPlanError: no pair of grasp and yaw is feasible; the message counts the reasons.
@@ -311,7 +307,7 @@ class PickPlacePlanner:
         name = goals[0].name
         candidates = grasps or self.grasps(name)
         with self.world.containing(name, contents):
-            for pick in self._picks(name, candidates, tried, tally, contents, drags):
+            for pick in self._picks(name, candidates, tried, tally, contents):
                 if pick.grasp.score < least_score:
                     break
                 completed = (self._complete(pick, goal, q_start, tally) for goal in goals)
@@ -323,8 +319,7 @@ class PickPlacePlanner:
                 if len(plans) >= self.config.max_plans or tally.n_rejected > limit:
                     break
         if not plans:
-            message = tally.failure_message(name, candidates)
-            raise NoPlanError(message, tally.in_the_way, tally.is_enclosed, tally.would_drag)
+            raise NoPlanError(tally.failure_message(name, candidates), tally.in_the_way, tally.is_enclosed)
         return min(plans, key=lambda plan: plan.duration)
 
     def can_pick(
@@ -354,17 +349,15 @@ class PickPlacePlanner:
         tried: Collection[Grasp],
         tally: Tally,
         contents: Sequence[str] = (),
-        drags: bool = True,
     ) -> Iterator[Pick]:
         """Yield feasible picks, best grasp first; the world has the object in the hand then."""
-        segments = self.config.segments if drags else self._gentle
         for grasp in candidates.grasps:
             if any(are_similar(grasp, other) for other in tried):
                 continue
-            key = (name, tuple(contents), id(grasp), drags)
+            key = (name, tuple(contents), id(grasp))
             known = self._examined.get(key)
             if known is None:
-                pick = find_pick(self.motions, name, grasp, segments)
+                pick = find_pick(self.motions, name, grasp, self.config.segments)
                 self._examined[key] = grasp, pick  # kept, so that nothing else gets its id
             else:
                 pick = known[1]

@@ -529,7 +529,7 @@ def test_blocked_object_is_deferred_until_the_others_are_moved(packing, arm, mon
     planned = []
     plan = PickPlacePlanner.plan
 
-    def blocked_at_first(self, placement, q_start, tried=(), grasps=None, contents=(), drags=True):
+    def blocked_at_first(self, placement, q_start, tried=(), grasps=None, contents=()):
         planned.append(placement[0].name)
         if placement[0].name == "bowl_2" and planned.count("bowl_2") == 1:
             raise PlanningError("No plan for bowl_2: of 9 candidates, 9 collide with can_1; clear it")
@@ -571,7 +571,7 @@ def test_what_an_object_blocked_comes_next_once_that_is_moved(scene, shapes, arm
     first, second, third = (placement.name for placement in task.placements)
     plan, failed = PickPlacePlanner.plan, []
 
-    def blocked_at_first(self, placement, q_start, tried=(), grasps=None, contents=(), drags=True):
+    def blocked_at_first(self, placement, q_start, tried=(), grasps=None, contents=()):
         if placement[0].name == first and not failed:
             failed.append(first)
             raise NoPlanError("blocked", (second,))
@@ -596,7 +596,7 @@ def test_the_order_in_which_what_is_in_the_way_is_placed(shapes, arm, monkeypatc
     names = [placement.name for placement in task.placements]
     plan, failed = PickPlacePlanner.plan, []
 
-    def blocked_at_first(self, placements, q_start, tried=(), grasps=None, contents=(), drags=True):
+    def blocked_at_first(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         if placements[0].name == names[0] and not failed:
             failed.append(names[0])
@@ -618,7 +618,7 @@ def test_what_would_enclose_the_goal_of_what_it_blocks_is_set_aside_first(scene,
     first, second = (placement.name for placement in task.placements)
     plan, failed = PickPlacePlanner.plan, []
 
-    def blocked_at_first(self, placements, q_start, tried=(), grasps=None, contents=(), drags=True):
+    def blocked_at_first(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         if placements[0].name == first and not failed:
             failed.append(first)
@@ -640,7 +640,7 @@ def test_a_placed_object_that_blocks_another_is_set_aside_and_placed_again(scene
     first, second = (placement.name for placement in task.placements)
     plan, goal = PickPlacePlanner.plan, np.array(task.placements[0].position[:2])
 
-    def blocked(self, placements, q_start, tried=(), grasps=None, contents=(), drags=True):
+    def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         is_blocked = np.linalg.norm(self.world.pose(first)[:2, 3] - goal) < 0.01
         if placements[0].name == second and is_blocked and first not in self.forgotten:
@@ -661,7 +661,7 @@ def test_a_placed_object_is_not_moved_for_one_that_has_no_plan_without_it_either
     first, second = (placement.name for placement in task.placements)
     plan = PickPlacePlanner.plan
 
-    def blocked(self, placements, q_start, tried=(), grasps=None, contents=(), drags=True):
+    def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         if placements[0].name == second:
             raise NoPlanError("blocked", ("table",) if first in self.forgotten else (first, "table"))
@@ -682,7 +682,7 @@ def test_an_object_whose_neighbours_block_its_way_is_itself_set_aside(scene, arm
     start = task.objects[name].T_world_stand[:2, 3]
     plan, goal = PickPlacePlanner.plan, np.array(task.placements[0].position[:2])
 
-    def blocked(self, placements, q_start, tried=(), grasps=None, contents=(), drags=True):
+    def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         is_at_start = np.linalg.norm(self.world.pose(name)[:2, 3] - start) < 0.01
         is_goal = np.linalg.norm(np.subtract(placements[0].position[:2], goal)) < 0.01
@@ -717,7 +717,7 @@ def test_an_object_lost_while_it_is_itself_set_aside_is_not_planned(scene, arm, 
     name, goal = task.placements[0].name, task.placements[0].position[:2]
     plan = PickPlacePlanner.plan
 
-    def blocked(self, placements, q_start, tried=(), grasps=None, contents=(), drags=True):
+    def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         assert placements[0].name not in self.forgotten
         if placements[0].name == name and np.allclose(placements[0].position[:2], goal):
@@ -742,7 +742,7 @@ def test_a_blocker_lost_while_it_is_set_aside_is_searched_for_before_it_is_plann
     first, second = (placement.name for placement in task.placements)
     plan = PickPlacePlanner.plan
 
-    def blocked(self, placements, q_start, tried=(), grasps=None, contents=(), drags=True):
+    def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         if placements[0].name == second and first not in self.forgotten:
             raise NoPlanError("blocked", (first,))
@@ -797,7 +797,7 @@ def test_bowls_that_no_finger_fits_between_are_carried_as_one(shapes, arm):
 def test_object_that_stays_blocked_fails_and_releases_its_stack(packing, arm, monkeypatch):
     plan = PickPlacePlanner.plan
 
-    def never(self, placement, q_start, tried=(), grasps=None, contents=(), drags=True):
+    def never(self, placement, q_start, tried=(), grasps=None, contents=()):
         if len(placement) > 1 or placement[0].name == "bowl_2":
             raise PlanningError("No plan for bowl_2")
         return plan(self, placement, q_start, tried)
@@ -815,7 +815,7 @@ def test_object_whose_goal_stays_blocked_is_placed_elsewhere_in_the_box(packing,
     plan = PickPlacePlanner.plan
     (goal,) = (placement for placement in packing.placements if placement.name == "can_1")
 
-    def blocked(self, placement, q_start, tried=(), grasps=None, contents=(), drags=True):
+    def blocked(self, placement, q_start, tried=(), grasps=None, contents=()):
         if placement == [goal]:
             raise PlanningError("No plan for can_1")
         return plan(self, placement, q_start, tried)
@@ -906,7 +906,7 @@ def test_an_object_that_no_hand_fits_beside_is_pushed_and_grasped_where_it_is_fo
     pushed = pose_from_yaw(0.0, start[:3, 3] + np.array([0.05, 0.0, 0.0]))
     plan = PickPlacePlanner.plan
 
-    def blocked(self, placements, q_start, tried=(), grasps=None, contents=(), drags=True):
+    def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         if placements[0].name == name and np.allclose(self.world.pose(name), start):
             raise NoPlanError("blocked", ("thing_1",))
@@ -943,7 +943,7 @@ def test_what_stood_in_the_box_before_is_set_aside_for_another_object_and_put_ba
     )
     plan = PickPlacePlanner.plan
 
-    def blocked(self, placements, q_start, tried=(), grasps=None, contents=(), drags=True):
+    def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         is_there = np.linalg.norm((self.world.pose(old) - there)[:2, 3]) < 0.01
         if placements[0].name == new and is_there and old not in self.forgotten:

@@ -75,7 +75,7 @@ class FakePlanner(PickPlacePlanner):
     def reaches(self, placement):
         return self.within_reach(placement.position)
 
-    def plan(self, goals, q, tried=(), grasps=None, contents=(), drags=True):
+    def plan(self, goals, q, tried=(), grasps=None, contents=()):
         goals = [goals] if isinstance(goals, Placement) else list(goals)
         self.requests.append((goals, grasps))
         self.contents.append(contents)
@@ -395,7 +395,7 @@ class Blocked(FakePlanner):
         super().__init__(items)
         self.asked, self.free = [], ()  # places that were examined, and the x of those that are free
 
-    def plan(self, goals, q, tried=(), grasps=None, contents=(), drags=True):
+    def plan(self, goals, q, tried=(), grasps=None, contents=()):
         self.requests.append((goals, grasps))
         needed = self.needed
         if grasps is not None and grasps.grasps[0] is FOUND:
