@@ -57,6 +57,16 @@ def test_two_named_objects_stay_two_in_a_tie():
     assert groups_of(seen(0, BODY), seen(0, HANDLE), seen(1, WHOLE)) == [{0}, {0}]
 
 
+@pytest.mark.parametrize("pieces_in", [0, 1, 2, 3])
+def test_what_one_view_shows_in_pieces_is_whole_beside_its_neighbour(pieces_in):
+    """Half of the views show two detections, in one of which they are the two pieces of one object."""
+    whole, neighbour = (0.02, 0.135), (0.13, 0.145)
+    of_view = [[BODY, (0.085, 0.14)], [whole, neighbour], [whole], [whole]]
+    of_view = of_view[-pieces_in:] + of_view[:-pieces_in]
+    found = [seen(view, strip, "other") for view, strips in enumerate(of_view) for strip in strips]
+    assert {0, 1, 2, 3} in groups_of(*found), "of all views"
+
+
 def test_footprints_far_apart_are_in_different_clusters():
     apart = clusters([seen(0, BODY), seen(1, (0.2, 0.3))], GroupingConfig())
     assert [len(cluster) for cluster in apart] == [1, 1]
