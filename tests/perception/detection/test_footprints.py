@@ -60,7 +60,7 @@ def test_two_named_objects_stay_two_in_a_tie():
 @pytest.mark.parametrize("pieces_in", [0, 1, 2, 3])
 def test_what_one_view_shows_in_pieces_is_whole_beside_its_neighbour(pieces_in):
     """Half of the views show two detections, in one of which they are the two pieces of one object."""
-    whole, neighbour = (0.02, 0.135), (0.13, 0.145)
+    whole, neighbour = (0.03, 0.125), (0.12, 0.145)
     of_view = [[BODY, (0.085, 0.14)], [whole, neighbour], [whole], [whole]]
     of_view = of_view[-pieces_in:] + of_view[:-pieces_in]
     found = [seen(view, strip, "other") for view, strips in enumerate(of_view) for strip in strips]
