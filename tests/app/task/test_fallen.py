@@ -8,6 +8,7 @@ import pytest
 from app.task import fallen
 from app.task.fallen import (
     AGREES,
+    APART,
     LEANING,
     TURNED,
     fallen_objects,
@@ -123,7 +124,7 @@ def test_the_most_turned_of_mugs_whose_handles_are_not_in_line_is_placed_again(
 ) -> None:
     placed = {id: replace(e, category="mug") for id, e in placed.items()}
     checks = {
-        id: check(T=e.T_world_object @ pose_from_yaw(turns[id] * TURNED, np.zeros(3)))
+        id: check(T=e.T_world_object @ pose_from_yaw(turns[id] * APART, np.zeros(3)))
         for id, e in placed.items()
     }
     found, _ = find(placed, checks, monkeypatch)
