@@ -24,8 +24,8 @@ from perception.inference.relocate import relocate
 from perception.types import ObjectEstimate, RestingPose, RgbdFrame
 
 LEANING = np.deg2rad(15.0)  # tilt of what counts as leaning; images show it to a few degrees
-# Of a handle from its goal, and between two, from which on they are not in line: two that were seen 11 degrees
-# apart were 17 apart.
+# Of a handle from its goal, and between two, from which on they are not in line: two that were seen to differ
+# by 11 degrees differed by 17.
 TURNED, APART = np.deg2rad(12.0), np.deg2rad(10.0)
 AGREES = 0.65  # share of the visible pixels from which on an object is surely where it was placed
 BETTER = 0.1  # by which another pose in the box must explain more of them
