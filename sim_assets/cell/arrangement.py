@@ -30,7 +30,7 @@ TILTED = ((np.deg2rad(6), FALLEN_TILT), (np.deg2rad(2), np.deg2rad(4)))
 _SIDES = tuple(
     np.array(side) for side in ((1.0, 1.0, 0.0), (-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (-1.0, 1.0, 0.0))
 )
-MOST_FALLS = 4  # until a thing rests on what it does not fall from
+MOST_FALLS = 4  # after which a thing is left as it lies: what is round rolls each time
 SUPPORTED = 0.005  # [m], smallest height of its base above the table
 MOST_STEPS = 3000  # candidates that a search examines before the counts are refused
 _LYING: tuple[Category, ...] = ("bottle", "can", "mug")
@@ -104,8 +104,9 @@ def arrange(
 def rest_unknown(thing: UnknownThing, name: str) -> Group:
     """Return a thing of no class at rest, as the only member of its group, with index 0.
 
-    What falls when it is tilted a little, as an egg on its tip, rests as it lies then. The surface of the
-    group is that of the collision pieces, so that neighbours never start inside them.
+    What falls when it is tilted a little, as an egg on its tip, rests as it lies then; what falls again and
+    again, as something round, is left as it lies in the end. The surface of the group is that of the
+    collision pieces, so that neighbours never start inside them.
 
     Args:
         thing: The thing.
