@@ -108,9 +108,9 @@ def oracle_estimates(truth: Truth) -> list[ObjectEstimate]:
 
 
 def match(estimates: Sequence[ObjectEstimate], truth: Truth) -> dict[int, int]:
-    """Assign estimates to true objects by the distance of the middles of their bodies' axes.
+    """Assign estimates to true objects: their surfaces agree best where the axes of their bodies are near.
 
-    Heights count a tenth: they tell what is stacked apart. Return object numbers by estimate id.
+    Surfaces tell apart what stands in or on another object. Return object numbers by estimate id.
     """
     if not estimates or not truth.models:
         return {}
@@ -118,15 +118,23 @@ def match(estimates: Sequence[ObjectEstimate], truth: Truth) -> dict[int, int]:
     halves = [(0.0, 0.0, truth.models[number].height / 2, 1.0) for number in numbers]
     there = np.array([(truth.poses[number] @ half)[:3] for number, half in zip(numbers, halves)])
     middles = np.array([_axis(estimate) for estimate in estimates])
-    apart = middles[:, None] - there
-    distance = np.linalg.norm(apart[..., :2], axis=-1)
-    cost = np.minimum(distance, 2 * MATCH_DISTANCE) + 0.1 * np.abs(apart[..., 2])
+    apart = np.linalg.norm((middles[:, None] - there)[..., :2], axis=-1)
+    found = [_few_samples(estimate.mesh_world) for estimate in estimates]
+    true = [_few_samples(TrueSurface.mesh(truth.models[n], truth.poses[n])) for n in numbers]
+    cost = np.full(apart.shape, 1.0)  # [m] more than any two surfaces that are near
+    for row, column in np.argwhere(apart <= MATCH_DISTANCE):
+        cost[row, column] = compare_surfaces(found[row], true[column]).chamfer_l1
     rows, columns = linear_sum_assignment(cost)
     return {
         estimates[row].id: numbers[column]
         for row, column in zip(rows, columns)
-        if distance[row, column] <= MATCH_DISTANCE
+        if apart[row, column] <= MATCH_DISTANCE
     }
+
+
+def _few_samples(mesh: TriangleMesh) -> SurfaceSamples:
+    """Return enough samples to tell which of two surfaces is nearer, the same ones each time."""
+    return SurfaceSamples.of(mesh, np.random.default_rng(0), 1000)
 
 
 def _axis(estimate: ObjectEstimate) -> Float[np.ndarray, "3"]:
@@ -191,11 +199,16 @@ class TrueSurface:
     handle: Float[np.ndarray, "m 3"]
 
     @staticmethod
+    def mesh(model: ObjectModel, T_world_object: Float[np.ndarray, "4 4"]) -> TriangleMesh:
+        """Return the true surface in the world frame."""
+        mesh = TriangleMesh(np.asarray(model.mesh.vertices), np.asarray(model.mesh.faces))
+        return mesh.transformed(T_world_object)
+
+    @staticmethod
     def of(
         model: ObjectModel, T_world_object: Float[np.ndarray, "4 4"], rng: np.random.Generator
     ) -> TrueSurface:
-        mesh = TriangleMesh(np.asarray(model.mesh.vertices), np.asarray(model.mesh.faces))
-        mesh = mesh.transformed(T_world_object)
+        mesh = TrueSurface.mesh(model, T_world_object)
         samples = SurfaceSamples.of(mesh, rng)
         local = (samples.points - T_world_object[:3, 3]) @ T_world_object[:3, :3]
         return TrueSurface(T_world_object, mesh, samples, samples.points[model.is_handle(local)])
