@@ -21,7 +21,7 @@ def object_table(report: Report) -> Table:
     verdict = "[bold green]done[/bold green]" if report.success else "[bold red]not done[/bold red]"
     n_placed = sum(bool(entry.placed) for entry in report.objects)
     counts = f"{n_placed} of {len(report.objects)} objects in place"
-    title = f"{report.command}: {verdict}, {counts} in {seconds:.0f} s{robot}"
+    title = f"{report.command}: {verdict}, {counts}{moved_things(report)} in {seconds:.0f} s{robot}"
     table = Table(title=title, title_justify="left", title_style="", show_edge=False, pad_edge=False)
     for heading, justify in {
         "": "left",
@@ -37,6 +37,12 @@ def object_table(report: Report) -> Table:
     for entry in report.objects:
         table.add_row(*_row(entry, accuracy.get(entry.id)))
     return table
+
+
+def moved_things(report: Report) -> str:
+    """Return what to add to a verdict if the robot moved things of no class, which it must not touch."""
+    n_moved = sum(bool(row["moved"]) for row in report.metrics.get("unknown", ()))
+    return f", {n_moved} thing{'s' * (n_moved > 1)} of no class moved" if n_moved else ""
 
 
 def _row(entry: ObjectReport, accuracy: float | None) -> tuple[str, ...]:

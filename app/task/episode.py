@@ -163,7 +163,7 @@ def summary_of(objects: Sequence[ObjectReport], failure: str, n_disturbed: int =
     n_placed = sum(bool(entry.placed) for entry in objects)
     summary = f"{n_placed} of {len(objects)} objects in place"
     if n_disturbed:
-        summary += f"; {n_disturbed} things of no class were moved"
+        summary += f"; {n_disturbed} thing{'s' * (n_disturbed > 1)} of no class moved"
     if failure:
         return f"{summary}; {failure}"
     wrong = [f"{entry.category} {entry.id}: {entry.reason}" for entry in objects if not entry.placed]

@@ -1,6 +1,7 @@
 import io
 
 import numpy as np
+import pytest
 from rich.console import Console
 
 from app.runs.report import ObjectReport, Report
@@ -32,6 +33,17 @@ def test_object_table():
     assert text.startswith("pack: not done, 1 of 2 objects in place in 31 s, 64 s of robot time")
     assert row_of(text, "mug 0") == "✓ mug 0 4 mm 1.3° 1 1.5 mm"
     assert row_of(text, "can (") == "✗ can (not perceived) 0 not perceived [at all]"
+
+
+@pytest.mark.parametrize(
+    ("moved", "said"),
+    [((True, False), ", 1 thing of no class moved"), ((True, True), ", 2 things of no class moved")],
+)
+def test_the_title_says_that_things_of_no_class_were_moved(moved, said):
+    rows = [{"moved": each} for each in moved]
+    report = Report("sort", 0, timings={"total": 2.0}, metrics={"unknown": rows})
+    title = " ".join(text_of(object_table(report)).split())
+    assert title.startswith(f"sort: not done, 0 of 0 objects in place{said} in 2 s")
 
 
 def test_title_of_a_success_without_robot_time():

@@ -91,3 +91,9 @@ def test_subtitle_has_the_times_of_the_episode(success, verdict):
     timings = {"scan": 10.0, "execute": 11.0, "total": 31.6}
     report = Report("pack", 7, success, timings=timings, metrics={"simulated_seconds": 64.4})
     assert subtitle_of(report) == f"{verdict} · seed 7 · 32 s wall, 64 s robot time"
+
+
+def test_subtitle_says_that_a_thing_of_no_class_was_moved():
+    metrics = {"simulated_seconds": 64.4, "unknown": [{"moved": True}]}
+    report = Report("pack", 7, timings={"total": 31.6}, metrics=metrics)
+    assert subtitle_of(report).startswith("not done, 1 thing of no class moved · seed 7")
