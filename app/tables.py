@@ -13,8 +13,11 @@ from rich.table import Table
 from app.runs.report import ObjectReport, Report
 
 
-def object_table(report: Report) -> Table:
-    """Return the outcome of each object, and the times of the episode in the title."""
+def object_table(report: Report) -> Group:
+    """Return one line with the verdict and the times of the episode, and the outcome of each object.
+
+    The line is not the title of the table, which is wrapped at the table's width.
+    """
     seconds = report.timings.get("total", 0.0)
     simulated = report.metrics.get("simulated_seconds")
     robot = f", {simulated:.0f} s of robot time" if simulated else ""
@@ -22,7 +25,7 @@ def object_table(report: Report) -> Table:
     n_placed = sum(bool(entry.placed) for entry in report.objects)
     counts = f"{n_placed} of {len(report.objects)} objects in place"
     title = f"{report.command}: {verdict}, {counts}{moved_things(report)} in {seconds:.0f} s{robot}"
-    table = Table(title=title, title_justify="left", title_style="", show_edge=False, pad_edge=False)
+    table = Table(show_edge=False, pad_edge=False)
     for heading, justify in {
         "": "left",
         "object": "left",
@@ -36,7 +39,7 @@ def object_table(report: Report) -> Table:
     accuracy = {row.get("id"): row.get("accuracy") for row in report.metrics.get("reconstruction", ())}
     for entry in report.objects:
         table.add_row(*_row(entry, accuracy.get(entry.id)))
-    return table
+    return Group(title, table)
 
 
 def moved_things(report: Report) -> str:
