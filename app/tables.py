@@ -10,13 +10,13 @@ from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
-from app.runs.report import ObjectReport, Report
+from app.runs.report import ObjectReport, Report, moved_things
 
 
 def object_table(report: Report) -> Group:
     """Return one line with the verdict and the times of the episode, and the outcome of each object.
 
-    The line is not the title of the table, which is wrapped at the table's width.
+    The line is not the title of the table, which would be wrapped at the table's width.
     """
     seconds = report.timings.get("total", 0.0)
     simulated = report.metrics.get("simulated_seconds")
@@ -24,7 +24,9 @@ def object_table(report: Report) -> Group:
     verdict = "[bold green]done[/bold green]" if report.success else "[bold red]not done[/bold red]"
     n_placed = sum(bool(entry.placed) for entry in report.objects)
     counts = f"{n_placed} of {len(report.objects)} objects in place"
-    title = f"{report.command}: {verdict}, {counts}{moved_things(report)} in {seconds:.0f} s{robot}"
+    moved = moved_things(report.metrics.get("unknown", ()))
+    facts = ", ".join(filter(None, (verdict, counts, moved)))
+    line = f"{report.command}: {facts} in {seconds:.0f} s{robot}"
     table = Table(show_edge=False, pad_edge=False)
     for heading, justify in {
         "": "left",
@@ -39,13 +41,7 @@ def object_table(report: Report) -> Group:
     accuracy = {row.get("id"): row.get("accuracy") for row in report.metrics.get("reconstruction", ())}
     for entry in report.objects:
         table.add_row(*_row(entry, accuracy.get(entry.id)))
-    return Group(title, table)
-
-
-def moved_things(report: Report) -> str:
-    """Return what to add to a verdict if the robot moved things of no class, which it must not touch."""
-    n_moved = sum(bool(row["moved"]) for row in report.metrics.get("unknown", ()))
-    return f", {n_moved} thing{'s' * (n_moved > 1)} of no class moved" if n_moved else ""
+    return Group(line, table)
 
 
 def _row(entry: ObjectReport, accuracy: float | None) -> tuple[str, ...]:

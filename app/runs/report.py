@@ -96,6 +96,15 @@ class Report:
         return json.dumps(self.as_json(), indent=1)
 
 
+def moved_things(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return how many things of no class the robot moved, which it must not touch; empty if it moved none.
+
+    ``rows`` are those of the metric "unknown", one for each thing.
+    """
+    count = sum(bool(row["moved"]) for row in rows)
+    return f"{count} thing{'s' * (count > 1)} of no class moved" if count else ""
+
+
 def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): _plain(entry) for key, entry in value.items()}

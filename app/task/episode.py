@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from app.options import NOT_SETTINGS, Task, TaskOptions
-from app.runs.report import ObjectReport, Report
+from app.runs.report import ObjectReport, Report, moved_things
 from app.task.arm_cell import cell_remarks
 from app.task.faults import faulty_robot, judge_fault
 from app.task.obstacles import obstacle_note, obstacle_rows
@@ -76,7 +76,7 @@ def run_episode(
         command=task,
         seed=options.seed,
         success=complete and not any(row["moved"] for row in moves),
-        reason=summary_of(objects, result.failure, sum(row["moved"] for row in moves)),
+        reason=summary_of(objects, result.failure, moves),
         timings={**result.timings, "total": seconds},
         objects=objects,
         metrics={
@@ -155,15 +155,15 @@ def seen_in_place(check: PoseCheck) -> bool:
     return check.status == "seen" and check.tilt < MAX_TILT and check.shift < MAX_SHIFT
 
 
-def summary_of(objects: Sequence[ObjectReport], failure: str, n_disturbed: int = 0) -> str:
+def summary_of(objects: Sequence[ObjectReport], failure: str, moves: Sequence[Mapping[str, Any]] = ()) -> str:
     """Return one line: the number of objects in place, and why the others are not.
 
-    ``n_disturbed`` is the number of things of no class that were moved.
+    ``moves`` are the rows of ``unknown_moves``.
     """
     n_placed = sum(bool(entry.placed) for entry in objects)
     summary = f"{n_placed} of {len(objects)} objects in place"
-    if n_disturbed:
-        summary += f"; {n_disturbed} thing{'s' * (n_disturbed > 1)} of no class moved"
+    if moved := moved_things(moves):
+        summary += f"; {moved}"
     if failure:
         return f"{summary}; {failure}"
     wrong = [f"{entry.category} {entry.id}: {entry.reason}" for entry in objects if not entry.placed]

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from app.options import RunTaskOptions, Task
-from app.runs.report import Report
+from app.runs.report import Report, moved_things
 from app.runs.rerun_log import write_rerun
 from app.runs.run_folder import RunFolder
 from app.screen import Screen
-from app.tables import moved_things
 from app.task.obstacles import picture_name, portrait_of
 from app.task.overview import Overview, write_overview
 from app.task.recording import RATE, CellRecorder
@@ -194,8 +193,10 @@ class RunWriter(RunObserver):
 
 
 def subtitle_of(report: Report) -> str:
-    """Return verdict, seed, and the wall and simulated time of the episode."""
-    verdict = ("done" if report.success else "not done") + moved_things(report)
+    """Return verdict, moved things of no class, seed, and the wall and simulated time of the episode."""
+    verdict = "done" if report.success else "not done"
+    moved = moved_things(report.metrics.get("unknown", ()))
+    verdict = ", ".join(filter(None, (verdict, moved)))
     wall, simulated = report.timings["total"], report.metrics["simulated_seconds"]
     return f"{verdict} · seed {report.seed} · {wall:.0f} s wall, {simulated:.0f} s robot time"
 

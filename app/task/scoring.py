@@ -108,9 +108,10 @@ def oracle_estimates(truth: Truth) -> list[ObjectEstimate]:
 
 
 def match(estimates: Sequence[ObjectEstimate], truth: Truth) -> dict[int, int]:
-    """Assign estimates to true objects: their surfaces agree best where the axes of their bodies are near.
+    """Assign estimates to true objects, so that the sum of the chamfer-L1 of their surfaces is smallest.
 
-    Surfaces tell apart what stands in or on another object. Return object numbers by estimate id.
+    They match only if the middles of their bodies' axes are at most MATCH_DISTANCE apart horizontally. Return
+    object numbers by estimate id.
     """
     if not estimates or not truth.models:
         return {}
@@ -120,8 +121,8 @@ def match(estimates: Sequence[ObjectEstimate], truth: Truth) -> dict[int, int]:
     middles = np.array([_axis(estimate) for estimate in estimates])
     apart = np.linalg.norm((middles[:, None] - there)[..., :2], axis=-1)
     found = [_few_samples(estimate.mesh_world) for estimate in estimates]
-    true = [_few_samples(TrueSurface.mesh(truth.models[n], truth.poses[n])) for n in numbers]
-    cost = np.full(apart.shape, 1.0)  # [m] more than any two surfaces that are near
+    true = [_few_samples(_true_mesh(truth.models[n], truth.poses[n])) for n in numbers]
+    cost = np.full(apart.shape, 1.0)  # [m], more than between two surfaces whose axes are near
     for row, column in np.argwhere(apart <= MATCH_DISTANCE):
         cost[row, column] = compare_surfaces(found[row], true[column]).chamfer_l1
     rows, columns = linear_sum_assignment(cost)
@@ -135,6 +136,12 @@ def match(estimates: Sequence[ObjectEstimate], truth: Truth) -> dict[int, int]:
 def _few_samples(mesh: TriangleMesh) -> SurfaceSamples:
     """Return enough samples to tell which of two surfaces is nearer, the same ones each time."""
     return SurfaceSamples.of(mesh, np.random.default_rng(0), 1000)
+
+
+def _true_mesh(model: ObjectModel, T_world_object: Float[np.ndarray, "4 4"]) -> TriangleMesh:
+    """Return the surface of a model in the world frame [m]."""
+    mesh = TriangleMesh(np.asarray(model.mesh.vertices), np.asarray(model.mesh.faces))
+    return mesh.transformed(T_world_object)
 
 
 def _axis(estimate: ObjectEstimate) -> Float[np.ndarray, "3"]:
@@ -199,16 +206,10 @@ class TrueSurface:
     handle: Float[np.ndarray, "m 3"]
 
     @staticmethod
-    def mesh(model: ObjectModel, T_world_object: Float[np.ndarray, "4 4"]) -> TriangleMesh:
-        """Return the true surface in the world frame."""
-        mesh = TriangleMesh(np.asarray(model.mesh.vertices), np.asarray(model.mesh.faces))
-        return mesh.transformed(T_world_object)
-
-    @staticmethod
     def of(
         model: ObjectModel, T_world_object: Float[np.ndarray, "4 4"], rng: np.random.Generator
     ) -> TrueSurface:
-        mesh = TrueSurface.mesh(model, T_world_object)
+        mesh = _true_mesh(model, T_world_object)
         samples = SurfaceSamples.of(mesh, rng)
         local = (samples.points - T_world_object[:3, 3]) @ T_world_object[:3, :3]
         return TrueSurface(T_world_object, mesh, samples, samples.points[model.is_handle(local)])

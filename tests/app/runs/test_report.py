@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from app.runs.report import ObjectReport, Report, package_version
+from app.runs.report import ObjectReport, Report, moved_things, package_version
 
 
 def test_an_object_report_is_flat():
@@ -51,3 +51,10 @@ def test_metrics_become_plain_json(value, plain):
 def test_other_values_become_text(tmp_path):
     settings = Report("scan", 0, settings={"out": tmp_path}).as_json()["settings"]
     assert settings == {"out": str(tmp_path)}
+
+
+def test_moved_things_are_counted_and_none_is_not_mentioned():
+    still, moved = {"moved": False}, {"moved": True}
+    assert moved_things([]) == moved_things([still]) == ""
+    assert moved_things([still, moved]) == "1 thing of no class moved"
+    assert moved_things([moved, moved]) == "2 things of no class moved"

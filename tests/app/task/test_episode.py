@@ -135,8 +135,10 @@ def test_settings_determine_an_episode_apart_from_its_seed():
 def test_summary():
     placed, wrong = ObjectReport(0, "can", True), ObjectReport(1, "mug", False, reason="toppled by 90 deg")
     assert summary_of([placed], "") == "1 of 1 objects in place"
-    assert summary_of([placed], "", 1) == "1 of 1 objects in place; 1 thing of no class moved"
-    assert summary_of([placed], "", 2) == "1 of 1 objects in place; 2 things of no class moved"
+    assert (
+        summary_of([placed], "", [{"moved": False}, {"moved": True}])
+        == "1 of 1 objects in place; 1 thing of no class moved"
+    )
     assert summary_of([placed, wrong], "") == "1 of 2 objects in place; mug 1: toppled by 90 deg"
     assert summary_of([placed, wrong], "no plan") == "1 of 2 objects in place; no plan"
 

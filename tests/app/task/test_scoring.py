@@ -97,7 +97,8 @@ def test_objects_on_each_other_are_matched_by_height(truth):
 def test_what_stands_beside_the_middle_of_a_bowl_is_told_from_the_bowl(truth):
     """Their axes are apart by 3 cm, and the estimates of both are off towards each other's."""
     raised, aside = truth.poses[2].copy(), np.array((0.03, 0.0, 0.0))
-    raised[:3, 3] += (0.03, 0.0, 0.02)
+    raised[:3, 3] += aside
+    raised[2, 3] += 0.02
     stack = Truth({1: truth.models[1], 2: truth.models[2]}, {1: raised, 2: truth.poses[2]})
     can, bowl = oracle_estimates(stack)
     assert match([moved(can, -0.8 * aside), moved(bowl, 0.8 * aside)], stack) == {1: 1, 2: 2}
