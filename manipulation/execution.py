@@ -123,6 +123,7 @@ class _Execution:
         on_event: OnEvent | None,
     ) -> None:
         self.task, self.robot, self.planner, self.config = task, robot, planner, config
+        self.scene = planner.scene
         self.withdrawal = Withdrawal(robot, planner)
         self.can_see = not isinstance(observer, NoObserver)
         self.observer = WithdrawingObserver(observer, self.withdrawal) if self.can_see else observer
@@ -134,8 +135,8 @@ class _Execution:
         self._order = TaskOrder(task.placements, planner)
         ids = {name: item.id for name, item in task.objects.items()}
         self._progress = TaskProgress(ids, task.placements, config.packing.release_height)
-        self._scene = SceneFollowing(planner, self.observer)
-        self._clearing = Clearing(robot, self.planning, self.motion, self._scene)
+        self._follower = SceneFollowing(self.scene, self.observer)
+        self._clearing = Clearing(robot, self.planning, self.motion, self._follower)
         self._located: set[str] = set()  # objects that were found since they were knocked over
         self._blocked: Counter[str] = Counter()  # how often objects met something on the way to their goals
         self._unknown: Counter[str] = Counter()  # how often something unknown was in the hand's way to them
@@ -147,7 +148,7 @@ class _Execution:
                     self.withdrawal.rise()
                     if ends_home:
                         self.motion.recovery.go_home()
-        return self._progress.results(self.planner.poses())
+        return self._progress.results(self.scene.poses())
 
     def _place_all(self) -> bool:
         """Give each object its turns; return whether the robot was not stopped."""
@@ -170,7 +171,7 @@ class _Execution:
                 if n_deferred >= len(order):
                     effort, n_deferred = Effort(effort + 1), 0
                 continue
-            if outcome.attempts or outcome.name in self.planner.forgotten:
+            if outcome.attempts or outcome.name in self.scene.forgotten:
                 effort, n_deferred = Effort.PLAIN, 0
             if self.can_see and progress.gets_another_chance(outcome):
                 self._notify("deferred", placement.name, outcome.reason)
@@ -186,8 +187,8 @@ class _Execution:
         if self._progress.waits_for_stack(placement) and effort < Effort.CLEARING:
             self._order.note_blockers(placement.name, placement.stack)
             return None
-        outcome = self._place(self._progress.with_placed_stack(placement, self.planner.poses()), effort)
-        is_unplanned = outcome.attempts == 0 and placement.name not in self.planner.forgotten
+        outcome = self._place(self._progress.with_placed_stack(placement, self.scene.poses()), effort)
+        is_unplanned = outcome.attempts == 0 and placement.name not in self.scene.forgotten
         most = Effort.BESIDE if placement.stack else Effort.CLEARING
         if is_unplanned and effort < most:
             self._notify("deferred", placement.name, outcome.reason)
@@ -216,8 +217,8 @@ class _Execution:
         reason, attempts = "", 0
         is_located = name in self._located
         self._located.discard(name)
-        if (before is not None and not is_located) or name in self.planner.forgotten:
-            reason = self._scene.search(name).problem
+        if (before is not None and not is_located) or name in self.scene.forgotten:
+            reason = self._follower.search(name).problem
             if reason:
                 return self._progress.failed_attempt(name, 0, reason)
         is_confirmed = False  # whether an object that one image did not show was found where it was expected
@@ -227,7 +228,7 @@ class _Execution:
                 break
             self._notify("plan", name)
             self.withdrawal.leave()
-            is_turned = lies(self.planner.world.pose(name))
+            is_turned = lies(self.scene.pose(name))
             try:
                 plan = self._plan(placement, tried, effort)
             except PlanningError as error:
@@ -241,7 +242,7 @@ class _Execution:
                 self._look_beside(plan)
                 if plan.placement is placement or not is_turned:
                     self._note_contents(plan)
-                    T = self.planner.world.pose(name)
+                    T = self.scene.pose(name)
                     return ObjectOutcome(number, name, True, n_before + attempts + 1, "", T)
                 continue  # turned, to be grasped again
             except SceneChangedError as error:
@@ -258,9 +259,9 @@ class _Execution:
                 self._look_beside(plan)
             logger.info("%s, attempt %d: %s", name, attempts, reason)
             self._notify("retry", name, reason)
-            found = Searched() if is_known else self._scene.search(name)
+            found = Searched() if is_known else self._follower.search(name)
             for inside in plan.contents:
-                self._scene.search(inside)
+                self._follower.search(inside)
             if found.problem:
                 return self._progress.failed_attempt(name, attempts, f"{reason}; {found.problem}")
             if is_unknown and not self._may_go_round(name):
@@ -277,7 +278,7 @@ class _Execution:
         self._unknown[name] += 1
         if self._unknown[name] >= _MAX_UNKNOWN:
             return False
-        self._scene.renew_obstacles()
+        self._follower.renew_obstacles()
         return True
 
     def _following(self, plan: PickPlacePlan, placement: Placement, is_turned: bool) -> Placement | None:
@@ -288,21 +289,21 @@ class _Execution:
         following = self._order.following(name, but=plan.contents)
         if following is None or progress.waits_for_stack(following, besides=name):
             return None
-        poses = self.planner.poses()
+        poses = self.scene.poses()
         return progress.with_placed_stack(following, {**poses, **plan.poses_after(poses)}, besides=name)
 
     def _note_contents(self, plan: PickPlacePlan) -> None:
         """Record that the bowls in a placed one were placed with it."""
         for name in plan.contents:
-            T = self.planner.world.pose(name)
+            T = self.scene.pose(name)
             self._progress.record(ObjectOutcome(self.task.objects[name].id, name, True, 1, "", T))
             self._order.drop(name)
             self._notify("placed", name, f"in {plan.name}")
 
     def _look_beside(self, plan: PickPlacePlan) -> None:
         """Follow what an object has pushed or knocked over; what was placed is placed again if need be."""
-        T = self.planner.poses().get(plan.name, plan.T_world_stand_rest)
-        for name, T_before in self._scene.displaced_near(
+        T = self.scene.poses().get(plan.name, plan.T_world_stand_rest)
+        for name, T_before in self._follower.displaced_near(
             T, but={plan.name, *plan.contents, *plan.placement.stack}
         ):
             if not self._progress.is_placed(name) or self._is_in_place(name, T_before):
@@ -321,7 +322,7 @@ class _Execution:
 
     def _is_in_place(self, name: str, T_before: Float[np.ndarray, "4 4"]) -> bool:
         """Return whether a placed object that was moved still stands in the box; without one, at its goal."""
-        T, box = self.planner.world.pose(name), self.task.box
+        T, box = self.scene.pose(name), self.task.box
         if box is None:
             return not is_displaced(T_before, T, self.motion.misplaced)
         return not lies(T) and box.contains(T)
@@ -356,7 +357,7 @@ class _Execution:
                     worth = self._worth_moving(placement, tried, effort, error.blockers)
                 if not self._clear(placement.name, names, worth) and not self._push(placement.name):
                     raise
-                if placement.name in self.planner.forgotten:  # lost on the way
+                if placement.name in self.scene.forgotten:  # lost on the way
                     raise
 
     def _worth_moving(
@@ -370,20 +371,20 @@ class _Execution:
         settled = self._settled()
         if settled.isdisjoint(blockers):
             return set()
-        q, poses = self.robot.joint_positions(), self.planner.poses()
-        goals = self._progress.goals | self.planning.goals_in_place(self._progress.goals)
+        q, poses = self.robot.joint_positions(), self.scene.poses()
+        goals = self._progress.goals | self.planning.places.in_place(self._progress.goals)
         places = {name: self._progress.with_placed_stack(goals[name], poses) for name in settled}
         movable = self._movable()
         return settled & self.planning.in_the_way(placement, q, tried, effort, movable, places)
 
     def _movable(self) -> set[str]:
         """Return the names of the objects that can be set aside and put back; bowls below others cannot."""
-        kept = self.planning.goals_in_place(self._progress.goals).keys()
+        kept = self.planning.places.in_place(self._progress.goals).keys()
         return (self._beside_box() | kept) - self._progress.below_others()
 
     def _settled(self) -> set[str]:
         """Return the names of the objects that were placed, or stood in the box or on a row before."""
-        return self._progress.placed() | self.planning.goals_in_place(self._progress.goals).keys()
+        return self._progress.placed() | self.planning.places.in_place(self._progress.goals).keys()
 
     def _clear(self, name: str, names: Sequence[str], worth: Collection[str] = ()) -> bool:
         """Set one of several objects aside for another one, or that one itself; return whether one was moved.
@@ -397,7 +398,7 @@ class _Execution:
             worth: those of the objects in their places that may be moved.
         """
         goals = self._progress.goals
-        before = self.planning.goals_in_place(goals)
+        before = self.planning.places.in_place(goals)
         kept = self._settled() - set(worth)
         plan = self._clearing.plan_aside(names, self._movable() - kept)
         if plan is None:
@@ -419,15 +420,15 @@ class _Execution:
             return False
         self._notify("push", name, "no hand fits beside it")
         self._clearing.push(push)
-        return name not in self.planner.forgotten
+        return name not in self.scene.forgotten
 
     def _beside_box(self) -> set[str]:
         """Return the names of the objects with a goal, and of those that are not in the box."""
-        poses, box = self.planner.poses(), self.task.box
+        poses, box = self.scene.poses(), self.task.box
         in_box = {name for name, T in poses.items() if box is not None and box.contains(T)}
         return set(poses) - (in_box - self._progress.goals.keys())
 
     def _notify(self, phase: Phase, name: str, message: str = "", plan: PickPlacePlan | None = None) -> None:
         done, total = len(self._progress.outcomes), len(self._progress.goals)
-        candidates = tuple(self.planner.grasps(name).grasps) if plan else ()
+        candidates = tuple(self.scene.grasps(name).grasps) if plan else ()
         self.on_event(TaskEvent(phase, name, done, total, message, plan, candidates))

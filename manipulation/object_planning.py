@@ -12,21 +12,21 @@ from dataclasses import replace
 from enum import IntEnum
 from itertools import islice
 from types import MappingProxyType
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Float
 
 from manipulation.errors import NoPlanError, PlanningError
-from manipulation.free_places import Hold, free_places, roomier_place
-from manipulation.free_table import Outline, goals_aside, outlines_of_others
+from manipulation.free_table import goals_aside
 from manipulation.lying_grasps import is_upside_down, lies
-from manipulation.packing import admissible_yaws
+from manipulation.open_places import OpenPlaces
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
+from manipulation.planning_scene import SceneState
 from manipulation.pushing import Push, plan_push
 from manipulation.reorientation import reorienting_grasps, turning_goals
-from manipulation.types import Grasp, GraspSet, PickPlacePlan, Placement, StandingObject, TaskPlan
-from perception.geometry import nearest_yaw
+from manipulation.types import Grasp, GraspSet, PickPlacePlan, Placement, TaskPlan
 
 DOUBTFUL = -1.5  # score of grasps of what nearly fills the hand, below which those at any angle come first
 _TURN_OVER = "turn it over by hand"
@@ -35,7 +35,6 @@ _EXAMINED, _EVERY_YAW = 12, 3  # goals, and which of their yaws, that are examin
 _ASIDE = 4  # objects that are tried in order to make room for one, itself included
 LOW = 0.10  # [m] height of objects that may be dropped: the hand meets the walls of the box beside lower ones
 DROP = 0.015  # [m] by which they may fall
-ON_ROW = 0.02  # [m] from a row, up to which an object stands on it
 
 Posture = Float[np.ndarray, "n"]
 
@@ -54,16 +53,25 @@ class ObjectPlanning:
 
     Args:
         task: goals of all objects.
-        planner: planner whose collision world follows the scene.
+        planner: planner whose scene follows the objects.
         config: settings.
+
+    Attributes:
+        places: finds places for objects.
     """
 
     def __init__(self, task: TaskPlan, planner: PickPlacePlanner, config: ManipulationConfig) -> None:
         self._task, self._planner, self._config = task, planner, config
+        self.places = OpenPlaces(task, planner.scene, config)
         self._goals = {placement.name for placement in task.placements}
-        # By the state of the scene, to which planning without some objects returns, and what was asked for.
-        self._failures: dict[tuple[int, Hashable], NoPlanError] = {}
-        self._turnable: dict[tuple[int, Hashable], list[Placement]] = {}
+        # By what was asked for, in each state of the scene: planning without some objects returns to this.
+        self._failures: WeakKeyDictionary[SceneState, dict[Hashable, NoPlanError]] = WeakKeyDictionary()
+        self._turnable: WeakKeyDictionary[SceneState, dict[Hashable, list[Placement]]] = WeakKeyDictionary()
+
+    @property
+    def _failed(self) -> dict[Hashable, NoPlanError]:
+        """What failed in the present state of the scene."""
+        return self._failures.setdefault(self._planner.scene.state, {})
 
     def next_plan(
         self,
@@ -86,19 +94,19 @@ class ObjectPlanning:
         Raises:
             PlanningError: there is none with this effort.
         """
-        if lies(self._planner.world.pose(placement.name)):
+        if lies(self._planner.scene.pose(placement.name)):
             return self._turn(placement, q, tried, effort, blocked)
-        roomier, sure = self._roomier(placement), self._sure_grasps(placement.name)
+        roomier, sure = self.places.roomier(placement), self._sure_grasps(placement.name)
         goals = [placement] if roomier is placement else [roomier, placement]
         if blocked > len(placement.stack[:1]):
-            goals = [*self._places_elsewhere(placement), *goals]
+            goals = [*self.places.elsewhere(placement), *goals]
         try:
             return self._plan(goals, q, tried, sure)
         except PlanningError as error:
             if effort == Effort.PLAIN:
                 raise
             may_be_elsewhere = not placement.stack or effort == Effort.BESIDE
-            elsewhere = self._places_elsewhere(placement) if may_be_elsewhere else []
+            elsewhere = self.places.elsewhere(placement) if may_be_elsewhere else []
             if elsewhere:
                 with contextlib.suppress(PlanningError):
                     return self._plan(elsewhere, q, tried, sure)
@@ -123,7 +131,7 @@ class ObjectPlanning:
 
     def _sure_grasps(self, name: str) -> GraspSet | None:
         """Return the grasps of an object but those that its estimated width hardly allows; None if all."""
-        known = self._planner.grasps(name)
+        known = self._planner.scene.grasps(name)
         sure = tuple(grasp for grasp in known.grasps if grasp.score > DOUBTFUL)
         return None if len(sure) == len(known.grasps) else replace(known, grasps=sure)
 
@@ -139,17 +147,17 @@ class ObjectPlanning:
         """
         planner = self._planner
         for name in [name for name in names if name in movable][:_ASIDE]:
-            item, T = self._task.objects[name], planner.world.pose(name)
-            if (planner.scene_state, ("aside", name)) in self._failures:
+            item, T = self._task.objects[name], planner.scene.pose(name)
+            if ("aside", name) in self._failed:
                 continue  # what failed is not tried again in the same scene
-            goals = list(goals_aside(item, T, self._taken(name), self._config.free_area))
+            goals = list(goals_aside(item, T, self.places.taken(name), self._config.free_area))
             spots = self._best_to_turn(goals) if lies(T) else goals[:_SPOTS]
             if not spots:
                 continue
             try:
-                plan = planner.plan(spots, q, grasps=planner.keeping_grasps(name))
+                plan = planner.plan(spots, q, grasps=planner.scene.keeping_grasps(name))
             except NoPlanError as error:
-                self._failures[planner.scene_state, ("aside", name)] = error
+                self._failed["aside", name] = error
             else:
                 yield plan
 
@@ -179,7 +187,7 @@ class ObjectPlanning:
         planner, plan = self._planner, None
         absent: set[str] = set()
         while plan is None:
-            with planner.without(absent):
+            with planner.scene.without(absent):
                 try:
                     plan = self.next_plan(placement, q, tried, effort)
                 except PlanningError as error:
@@ -190,11 +198,11 @@ class ObjectPlanning:
                     absent |= found
         same = GraspSet((plan.grasp,), Counter())
         for name in sorted(absent):
-            with planner.without(absent - {name}), contextlib.suppress(NoPlanError):
+            with planner.scene.without(absent - {name}), contextlib.suppress(NoPlanError):
                 planner.plan(plan.placement, q, grasps=same, contents=plan.contents)
                 absent.discard(name)
         for name in sorted(absent) if len(absent) > 1 else ():
-            with planner.without(absent - {name}), contextlib.suppress(PlanningError):
+            with planner.scene.without(absent - {name}), contextlib.suppress(PlanningError):
                 plan = self.next_plan(placement, q, tried, effort)
                 absent.discard(name)
         goals = [settled[name] for name in sorted(absent & settled.keys())]
@@ -210,48 +218,21 @@ class ObjectPlanning:
         """
         planner = self._planner
         with (
-            planner.without(set(absent) - {goal.name}),
-            planner.supposing(plan.name, plan.T_world_stand_rest),
+            planner.scene.without(set(absent) - {goal.name}),
+            planner.scene.supposing(plan.name, plan.T_world_stand_rest),
         ):
-            return any(planner.can_place_after(g, ()) for g in (goal, *self._places_elsewhere(goal)))
-
-    def goals_in_place(self, known: Collection[str]) -> dict[str, Placement]:
-        """Return the goals of keeping upright objects where they stand in the box or on a row, by name.
-
-        Args:
-            known: names of objects with other goals. Bowls in the box are left out as well: they may hold
-                something.
-        """
-        task, config = self._task, self._config
-        goals: dict[str, Placement] = {}
-        for name, T in self._planner.poses().items():
-            item = task.objects[name]
-            if name in known or lies(T) or not self._is_in_place(item, T):
-                continue
-            floor = task.box.floor if task.task == "pack" and task.box is not None else 0.0
-            settings = config.packing if task.task == "pack" else config.sorting
-            position = (float(T[0, 3]), float(T[1, 3]), floor)
-            yaws = admissible_yaws(item, nearest_yaw(T))
-            goals[name] = Placement(name, position, yaws, release_height=settings.release_height)
-        return goals
-
-    def _is_in_place(self, item: StandingObject, T: Float[np.ndarray, "4 4"]) -> bool:
-        """Return whether an object at a pose is in the box, and no bowl, or on a row."""
-        task = self._task
-        if task.task == "sort":
-            return any(line.position(T[:2, 3])[1] < ON_ROW for line in task.lines)
-        return task.box is not None and item.category != "bowl" and task.box.contains(T)
+            return any(planner.can_place_after(g, ()) for g in (goal, *self.places.elsewhere(goal)))
 
     def push(self, name: str, q: Posture) -> Push | None:
         """Return a push after which an object can be grasped; None if there is none, or it is in the box."""
         planner, box = self._planner, self._task.box
-        if box is not None and box.contains(planner.world.pose(name)):
+        if box is not None and box.contains(planner.scene.pose(name)):
             return None
-        if (planner.scene_state, ("push", name)) in self._failures:
+        if ("push", name) in self._failed:
             return None
         push = plan_push(planner.motions, self._task.objects[name], q, lambda T: planner.can_pick(name, T))
         if push is None:
-            self._failures[planner.scene_state, ("push", name)] = NoPlanError(f"no push helps {name}")
+            self._failed["push", name] = NoPlanError(f"no push helps {name}")
         return push
 
     def _turn(
@@ -265,14 +246,14 @@ class ObjectPlanning:
             PlanningError: there is none.
         """
         name, planner, item = placement.name, self._planner, self._task.objects[placement.name]
-        T_world_stand = planner.world.pose(name)
+        T_world_stand = planner.scene.pose(name)
         overturned = is_upside_down(T_world_stand)
         how = "stands upside down" if overturned else "lies on its side"
         at = f"{name} {how} at ({T_world_stand[0, 3]:.2f}, {T_world_stand[1, 3]:.2f}) m"
-        grasps = planner.grasps(name)
+        grasps = planner.scene.grasps(name)
         if not grasps.grasps:
             raise PlanningError(f"{at}: {grasps.failure_message(name, _TURN_OVER if overturned else '')}")
-        spots = list(turning_goals(item, T_world_stand, self._taken(name), self._config.free_area))
+        spots = list(turning_goals(item, T_world_stand, self.places.taken(name), self._config.free_area))
         goals = self._best_to_turn(spots) if overturned else [placement, *self._in_reach(spots)]
         if blocked and not overturned:
             goals = [*goals[1:], placement]
@@ -282,7 +263,7 @@ class ObjectPlanning:
             return self._plan(goals, q, tried)
         except NoPlanError as error:
             if effort > Effort.PLAIN:
-                elsewhere = [] if overturned else self._places_elsewhere(placement)
+                elsewhere = [] if overturned else self.places.elsewhere(placement)
                 with contextlib.suppress(PlanningError):
                     return self._plan([*goals, *elsewhere], q, tried, is_tilted=True)
             raise NoPlanError(
@@ -295,16 +276,17 @@ class ObjectPlanning:
         Their yaws are those at which it could be grasped then. Where there are none, the first goals.
         """
         planner, config = self._planner, self._config.pick_place.grasp
-        key = planner.scene_state, tuple((goal.name, goal.position) for goal in goals)
-        if key in self._turnable:
-            return self._turnable[key]
+        known = self._turnable.setdefault(planner.scene.state, {})
+        key = tuple((goal.name, goal.position) for goal in goals)
+        if key in known:
+            return known[key]
         found: list[Placement] = []
         on_side: dict[int, GraspSet] = {}  # by the goal's orientation, which many have in common
         for goal in goals[:_EXAMINED]:
             assert goal.T_goal_stand is not None
             grasps = on_side.get(id(goal.T_goal_stand))
             if grasps is None:
-                grasps = reorienting_grasps(planner.items[goal.name], goal.T_goal_stand, config)
+                grasps = reorienting_grasps(planner.scene.items[goal.name], goal.T_goal_stand, config)
                 on_side[id(goal.T_goal_stand)] = grasps
             poses = {yaw: planner.resting_pose(goal, yaw) for yaw in goal.yaws[::_EVERY_YAW]}
             yaws = tuple(yaw for yaw, T in poses.items() if planner.can_pick(goal.name, T, grasps))
@@ -312,8 +294,8 @@ class ObjectPlanning:
                 found.append(replace(goal, yaws=yaws))
             if len(found) == _SPOTS:
                 break
-        self._turnable[key] = found or list(goals[:_SPOTS])
-        return self._turnable[key]
+        known[key] = found or list(goals[:_SPOTS])
+        return known[key]
 
     def _in_reach(self, goals: Sequence[Placement]) -> list[Placement]:
         """Return the first goals on free table from which an object that is set upright can be taken on.
@@ -332,7 +314,7 @@ class ObjectPlanning:
             PlanningError: there is none, or the bowl is empty.
         """
         name = goals[0].name
-        contents = self._planner.bowls_in(name)
+        contents = self._planner.scene.bowls_in(name)
         if self._task.task != "pack" or not contents or not set(contents) <= self._goals:
             raise PlanningError(f"{name} holds no bowls that are to be packed")
         return self._plan(goals, q, tried, is_tilted=True, contents=contents)
@@ -359,53 +341,13 @@ class ObjectPlanning:
             tuple(contents),
             *((goal.name, goal.position, goal.stack, goal.release_height) for goal in goals),
         )
-        failure = self._failures.get((planner.scene_state, key))
+        failure = self._failed.get(key)
         if failure is not None:
             raise failure
         try:
-            grasps = planner.tilted_grasps(goals[0].name) if is_tilted else grasps
+            grasps = planner.scene.tilted_grasps(goals[0].name) if is_tilted else grasps
             return planner.plan(goals, q, tried, grasps, contents)
         except NoPlanError as error:
             if not error.is_enclosed:  # which depends on the posture too
-                self._failures[planner.scene_state, key] = error
+                self._failed[key] = error
             raise
-
-    def _roomier(self, placement: Placement) -> Placement:
-        """Return the planned place in the box, or one beside it with more room as the box is filled now."""
-        box, objects = self._task.box, self._task.objects
-        if self._task.task != "pack" or box is None or placement.stack:
-            return placement
-        inside = list(self._in_box(placement.name).values())
-        return roomier_place(objects[placement.name], placement, inside, self._waiting(placement.name), box)
-
-    def _in_box(self, name: str) -> dict[str, tuple[StandingObject, Float[np.ndarray, "4 4"]]]:
-        """Return the objects in the box but one, with T_world_stand, by name."""
-        box, objects = self._task.box, self._task.objects
-        return {
-            other: (objects[other], T)
-            for other, T in self._planner.poses().items()
-            if box is not None and other != name and box.contains(T)
-        }
-
-    def _waiting(self, name: str) -> list[tuple[StandingObject, Placement]]:
-        """Return the objects but one that are to stand on the box's floor and are not in it, with goals."""
-        there = self._in_box(name).keys() | {name}
-        goals = (goal for goal in self._task.placements if goal.name not in there and not goal.stack)
-        return [(self._task.objects[goal.name], goal) for goal in goals]
-
-    def _places_elsewhere(self, placement: Placement) -> list[Placement]:
-        """Return other places for an object on the floor of the box."""
-        if self._task.task != "pack" or self._task.box is None:
-            return []
-        if placement.stack:
-            placement = replace(placement, stack=(), release_height=self._config.packing.release_height)
-        objects = self._task.objects
-        others = [(objects[n], T) for n, T in self._planner.poses().items() if n != placement.name]
-        waiting = self._waiting(placement.name)
-        hold = Hold(self._planner.grasps(placement.name).grasps, self._config.pick_place.grasp.gripper)
-        return free_places(objects[placement.name], placement, others, self._task.box, waiting, hold=hold)
-
-    def _taken(self, name: str) -> list[Outline]:
-        """Return the outlines of the top views of everything but one object."""
-        planner = self._planner
-        return outlines_of_others(self._task.objects, planner.poses(), planner.perceived_obstacles, {name})

@@ -6,35 +6,32 @@ transfer with the carried object, release and retreat are all within reach and f
 
 from __future__ import annotations
 
-import contextlib
-import itertools
 from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Float
 
 from manipulation.candidates import NO_WAY, Tally, are_similar, ordered_yaws
-from manipulation.collision import Body, CollisionConfig, CollisionWorld
+from manipulation.collision import CollisionConfig
 from manipulation.errors import NoPlanError
 from manipulation.grasp_config import GraspConfig
-from manipulation.hulls import convex_pieces
 from manipulation.kinematics import IkConfig, Kinematics
-from manipulation.known_grasps import KnownGrasps
-from manipulation.lying_grasps import lies
 from manipulation.motions import MIDDLE_RADIUS, MotionPlanner
 from manipulation.nesting import nest_heights
 from manipulation.obstacles import TABLE, Obstacle
 from manipulation.pick_place_segments import Pick, Place, PlaceGoal, SegmentConfig, find_pick, find_place
 from manipulation.plan_timing import PlanTiming
+from manipulation.planning_scene import PlanningScene, SceneState
 from manipulation.reach import reaches_any
 from manipulation.reorientation import rolled
-from manipulation.surroundings import Surfaces, points_around
 from manipulation.trajectories import MotionConfig
 from manipulation.types import Grasp, GraspSet, PickPlacePlan, Placement, Rejected, StandingObject
-from manipulation.vessels import holds, vessel_pieces
 from perception.geometry import pose_from_yaw
 from perception.obstacles.obstacle import PerceivedObstacle
+
+_Examined = dict[Hashable, tuple[Grasp, Pick | Rejected]]  # picks of grasps in one state of the scene
 
 _SAMPLES, _SAMPLED_YAWS = 12, 3  # grasps of an object and yaws of its goal that are looked at in advance
 
@@ -69,7 +66,7 @@ class PickPlaceConfig:
 
 
 class PickPlacePlanner:
-    """Plans one object after the other in a collision world that follows moved and re-observed objects.
+    """Plans one object after the other in a scene that follows moved and re-observed objects.
 
     Args:
         kinematics: kinematics of the arm.
@@ -77,6 +74,10 @@ class PickPlacePlanner:
         obstacles: static obstacles, of known geometry or perceived.
         config: settings of the search.
         grasps: known grasp candidates by name; those that are missing are generated.
+
+    Attributes:
+        kinematics, config: as given.
+        scene: objects and obstacles where they are now.
     """
 
     def __init__(
@@ -88,145 +89,23 @@ class PickPlacePlanner:
         grasps: Mapping[str, GraspSet] | None = None,
     ) -> None:
         self.kinematics, self.config = kinematics, config
-        self.items = dict(items)
-        self._obstacles = tuple(obstacles)
-        self._known = KnownGrasps(self.items, config.grasp, self._points_around, grasps)
-        self._surfaces = Surfaces()
+        self.scene = PlanningScene(kinematics.arm, items, obstacles, config.collision, config.grasp, grasps)
+        self._motions, self._timing = self._in_world()
         self._lifts: dict[tuple[str, ...], float] = {}  # of the last bowls of stacks
-        self._forgotten: set[str] = set()
-        self._states, self._state = itertools.count(1), 0
-        self._examined: dict[Hashable, tuple[Grasp, Pick | Rejected]] = {}  # picks in this scene
-        self._build_world({name: item.T_world_stand for name, item in self.items.items()})
+        self._examined: WeakKeyDictionary[SceneState, _Examined] = WeakKeyDictionary()
 
-    def _build_world(self, poses: Mapping[str, Float[np.ndarray, "4 4"]]) -> None:
-        """Build the collision world with the objects at ``poses``, their T_world_stand."""
-        bodies = [Body(name, self._pieces(name, poses), T) for name, T in poses.items()]
-        self.world = CollisionWorld(self.kinematics.arm, bodies, self._obstacles, self.config.collision)
+    def _in_world(self) -> tuple[MotionPlanner, PlanTiming]:
+        """Return planner and timing of motions in the present collision world."""
         c = self.config
-        self.motions = MotionPlanner(self.kinematics, self.world, c.motion, c.via_heights, c.middle_radius)
-        self._timing = PlanTiming(self.motions)
-
-    def _pieces(
-        self, name: str, poses: Mapping[str, Float[np.ndarray, "4 4"]]
-    ) -> tuple[Float[np.ndarray, "_k 3"], ...]:
-        """Return the convex pieces of an object: of a vessel that holds another one, with its cavity free."""
-        item = self.items[name]
-        others = [(self.items[n], T) for n, T in poses.items() if n != name and n not in self._forgotten]
-        if holds(item, poses[name], others):
-            return vessel_pieces(item, self.config.grasp)
-        return convex_pieces(item)
+        motions = MotionPlanner(self.kinematics, self.scene.world, c.motion, c.via_heights, c.middle_radius)
+        return motions, PlanTiming(motions)
 
     @property
-    def forgotten(self) -> frozenset[str]:
-        """Names of the objects of unknown pose."""
-        return frozenset(self._forgotten)
-
-    @property
-    def obstacles(self) -> tuple[Obstacle | PerceivedObstacle, ...]:
-        """The static obstacles, of known geometry or perceived."""
-        return self._obstacles
-
-    @property
-    def perceived_obstacles(self) -> tuple[PerceivedObstacle, ...]:
-        """The obstacles of perceived geometry."""
-        return tuple(o for o in self._obstacles if isinstance(o, PerceivedObstacle))
-
-    @property
-    def scene_state(self) -> int:
-        """Number of the state of the scene: what failed in it fails again."""
-        return self._state
-
-    def _on_change(self) -> None:
-        self._state, self._examined = next(self._states), {}
-        self._known.on_change()
-
-    def poses(self) -> dict[str, Float[np.ndarray, "4 4"]]:
-        """Return T_world_stand of every object that is not forgotten, by name."""
-        return {name: self.world.pose(name) for name in self.world.names if name not in self._forgotten}
-
-    def observe_obstacles(self, obstacles: Sequence[PerceivedObstacle]) -> None:
-        """Replace the perceived obstacles; objects remain as they are, forgotten ones forgotten."""
-        known = tuple(o for o in self._obstacles if not isinstance(o, PerceivedObstacle))
-        poses = {name: self.world.pose(name) for name in self.world.names}
-        self._obstacles = (*known, *obstacles)
-        self._build_world(poses)
-        self._on_change()
-        for name in poses:
-            self.world.set_present(name, name not in self._forgotten)
-
-    def moved(self, name: str, T_world_stand: Float[np.ndarray, "4 4"]) -> None:
-        """Set the pose of an object that was moved, in any orientation."""
-        self.world.set_present(name, True)
-        self.world.move(name, T_world_stand)
-        self._known.on_move(name)
-        self._on_change()
-        self._forgotten.discard(name)
-
-    def forget(self, name: str) -> None:
-        """Remove an object of unknown pose from the collision world."""
-        self.world.set_present(name, False)
-        self._on_change()
-        self._forgotten.add(name)
-
-    @contextlib.contextmanager
-    def without(self, names: Collection[str]) -> Iterator[None]:
-        """Plan as if some objects were not there; the scene is the same again afterwards."""
-        absent = set(names) - self._forgotten
-        if not absent:
-            yield
-            return
-        with self._other_scene():
-            self._forgotten |= absent
-            for name in absent:
-                self.world.set_present(name, False)
-            try:
-                yield
-            finally:
-                self._forgotten -= absent
-                for name in absent:
-                    self.world.set_present(name, True)
-
-    @contextlib.contextmanager
-    def supposing(self, name: str, T_world_stand: Float[np.ndarray, "4 4"]) -> Iterator[None]:
-        """Plan as if an object of known pose were at another one; the scene is the same again afterwards."""
-        T_now = self.world.pose(name)
-        with self._other_scene():
-            self.world.move(name, T_world_stand)
-            self._known.on_move(name)
-            try:
-                yield
-            finally:
-                self.world.move(name, T_now)
-                self._known.on_move(name)
-
-    @contextlib.contextmanager
-    def _other_scene(self) -> Iterator[None]:
-        """Let nothing that is found in another scene be used in this one, nor the other way round."""
-        state, examined = self._state, self._examined
-        self._on_change()
-        try:
-            yield
-        finally:
-            self._known.on_change()
-            self._state, self._examined = state, examined
-
-    def grasps(self, name: str) -> GraspSet:
-        """Return the grasp candidates of an object at its present pose, see ``KnownGrasps``."""
-        return self._known.at(name, self.world.pose(name))
-
-    def tilted_grasps(self, name: str) -> GraspSet:
-        """Return grasps at any angle of the hand, clear of surroundings, see ``KnownGrasps``."""
-        return self._known.tilted(name, self.world.pose(name))
-
-    def keeping_grasps(self, name: str) -> GraspSet:
-        """Return such grasps with which an object keeps its orientation, see ``KnownGrasps``."""
-        return self._known.keeping(name, self.world.pose(name))
-
-    def _points_around(self, name: str) -> Float[np.ndarray, "n 3"]:
-        """Return points of what is around an object, in its stand frame [m]."""
-        T = self.world.pose(name)
-        others = [(self.items[other], pose) for other, pose in self.poses().items() if other != name]
-        return points_around(T[:3, 3], others, self.perceived_obstacles, self._surfaces) @ T[:3, :3]
+    def motions(self) -> MotionPlanner:
+        """Planner of motions in the scene's present collision world."""
+        if self._motions.world is not self.scene.world:
+            self._motions, self._timing = self._in_world()
+        return self._motions
 
     def resting_pose(self, placement: Placement, yaw: float) -> Float[np.ndarray, "4 4"]:
         """Return ``T_world_stand`` at rest, on the floor or in the bowls of its stack, at a yaw [rad]."""
@@ -234,20 +113,13 @@ class PickPlacePlanner:
             return pose_from_yaw(yaw, np.array(placement.position)) @ placement.T_goal_stand
         names = (*placement.stack, placement.name)
         if names not in self._lifts:
-            self._lifts[names] = nest_heights([self.items[name] for name in names])[-1]
+            self._lifts[names] = nest_heights([self.scene.items[name] for name in names])[-1]
         return pose_from_yaw(yaw, np.add(placement.position, (0.0, 0.0, self._lifts[names])))
 
     def reaches(self, placement: Placement) -> bool:
         """Return whether the arm reaches an object at its goal, whatever the hand meets there."""
         T = self.resting_pose(placement, placement.yaws[0])
-        return reaches_any(self.kinematics, placement.name, T, self._known.at(placement.name, T))
-
-    def bowls_in(self, name: str) -> tuple[str, ...]:
-        """Return the names of the upright bowls in the cavity of a bowl; none if it holds anything else."""
-        item, poses = self.items[name], self.poses()
-        inside = [n for n, T in poses.items() if n != name and holds(item, poses[name], [(self.items[n], T)])]
-        are_bowls = all(self.items[n].category == "bowl" and not lies(poses[n]) for n in (name, *inside))
-        return tuple(inside) if are_bowls else ()
+        return reaches_any(self.kinematics, placement.name, T, self.scene.grasps_at(placement.name, T))
 
     def can_place_after(self, placement: Placement, before: Sequence[Placement]) -> bool:
         """Return whether an object has a free release at its goal once others are at their own.
@@ -258,26 +130,28 @@ class PickPlacePlanner:
             placement: goal of the object.
             before: goals of the others.
         """
-        if placement.name in self._forgotten:
+        if placement.name in self.scene.forgotten:
             return True
-        Ts_now = {goal.name: self.world.pose(goal.name) for goal in before}
+        Ts_now = {goal.name: self.scene.pose(goal.name) for goal in before}
         for goal in before:
-            self.world.move(goal.name, self.resting_pose(goal, goal.yaws[0]))
+            self.scene.world.move(goal.name, self.resting_pose(goal, goal.yaws[0]))
         home = np.asarray(self.kinematics.arm.q_home, dtype=np.float64)[None]
-        T_object, T_goal = self.world.pose(placement.name), self.resting_pose(placement, 0.0)
-        grasps = self.grasps(placement.name).grasps
+        T_object, T_goal = self.scene.pose(placement.name), self.resting_pose(placement, 0.0)
+        grasps = self.scene.grasps(placement.name).grasps
         try:
             for grasp in grasps[:: max(1, len(grasps) // _SAMPLES)]:
                 for yaw in ordered_yaws(T_object, T_goal, grasp.T_stand_tcp, placement)[:_SAMPLED_YAWS]:
-                    goal = PlaceGoal(self.items[placement.name], placement, self.resting_pose(placement, yaw))
+                    goal = PlaceGoal(
+                        self.scene.items[placement.name], placement, self.resting_pose(placement, yaw)
+                    )
                     pick = Pick(grasp, home, home)
                     if not isinstance(find_place(self.motions, pick, goal, self.config.segments), Rejected):
                         return True
             return False
         finally:
-            self.world.release()
+            self.scene.world.release()
             for name, T_now in Ts_now.items():
-                self.world.move(name, T_now)
+                self.scene.world.move(name, T_now)
 
     def plan(
         self,
@@ -305,8 +179,8 @@ class PickPlacePlanner:
         least_score = -np.inf
         goals = (placement,) if isinstance(placement, Placement) else tuple(placement)
         name = goals[0].name
-        candidates = grasps or self.grasps(name)
-        with self.world.containing(name, contents):
+        candidates = grasps or self.scene.grasps(name)
+        with self.scene.world.containing(name, contents):
             for pick in self._picks(name, candidates, tried, tally, contents):
                 if pick.grasp.score < least_score:
                     break
@@ -332,15 +206,14 @@ class PickPlacePlanner:
             T_world_stand: the pose.
             grasps: candidates there; without them those at its present pose.
         """
-        T_now, candidates = self.world.pose(name), self.grasps(name) if grasps is None else grasps
-        examined, self._examined = self._examined, {}
-        self.world.move(name, T_world_stand)
+        scene = self.scene
+        T_now, candidates = scene.pose(name), scene.grasps(name) if grasps is None else grasps
+        scene.world.move(name, T_world_stand)
         try:
-            return next(self._picks(name, candidates, (), Tally()), None) is not None
+            return next(self._picks(name, candidates, (), Tally(), examined={}), None) is not None
         finally:
-            self.world.release()
-            self.world.move(name, T_now)
-            self._examined = examined
+            scene.world.release()
+            scene.world.move(name, T_now)
 
     def _picks(
         self,
@@ -349,23 +222,29 @@ class PickPlacePlanner:
         tried: Collection[Grasp],
         tally: Tally,
         contents: Sequence[str] = (),
+        examined: _Examined | None = None,
     ) -> Iterator[Pick]:
-        """Yield feasible picks, best grasp first; the world has the object in the hand then."""
+        """Yield feasible picks, best grasp first; the world has the object in the hand then.
+
+        ``examined`` are the picks that are known already; by default those of the present state of the scene.
+        """
+        if examined is None:
+            examined = self._examined.setdefault(self.scene.state, {})
         for grasp in candidates.grasps:
             if any(are_similar(grasp, other) for other in tried):
                 continue
             key = (name, tuple(contents), id(grasp))
-            known = self._examined.get(key)
+            known = examined.get(key)
             if known is None:
                 pick = find_pick(self.motions, name, grasp, self.config.segments)
-                self._examined[key] = grasp, pick  # kept, so that nothing else gets its id
+                examined[key] = grasp, pick  # kept, so that nothing else gets its id
             else:
                 pick = known[1]
             if isinstance(pick, Rejected):
                 tally.reject(pick)
                 continue
             if known is not None:
-                self.world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
+                self.scene.world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
             yield pick
 
     def _complete(
@@ -378,18 +257,18 @@ class PickPlacePlanner:
         name, grasp = placement.name, pick.grasp
         c = self.config
         if placement.T_goal_stand is not None:
-            T_goal_stand = rolled(self.items[name], placement.T_goal_stand, grasp.away)
+            T_goal_stand = rolled(self.scene.items[name], placement.T_goal_stand, grasp.away)
             placement = replace(placement, T_goal_stand=T_goal_stand)
         swinging: tuple[Place, PlaceGoal, list[Float[np.ndarray, "n"]]] | None = None
-        T_now, T_goal = self.world.pose(name), self.resting_pose(placement, 0.0)
+        T_now, T_goal = self.scene.pose(name), self.resting_pose(placement, 0.0)
         for yaw in ordered_yaws(T_now, T_goal, grasp.T_stand_tcp, placement):
             T_rest = self.resting_pose(placement, yaw)
-            goal = PlaceGoal(self.items[name], placement, T_rest)
+            goal = PlaceGoal(self.scene.items[name], placement, T_rest)
             place = find_place(self.motions, pick, goal, self.config.segments)
             if isinstance(place, Rejected):
                 tally.reject(place)
                 continue
-            self.world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
+            self.scene.world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
             ends, width, margins = (pick.lift[-1], place.lowering[0]), grasp.held_width, c.transit_margins
             carrying = self.motions.carrying_path(*ends, width, margins)
             if carrying is None:
@@ -412,7 +291,7 @@ class PickPlacePlanner:
         tally: Tally,
     ) -> PickPlacePlan | None:
         """Return the plan with a path to the object; None if there is none."""
-        self.world.release()
+        self.scene.world.release()
         start = self.motions.free_path(
             q_start, pick.approach[0], pick.grasp.opening, self.config.transit_margins
         )

@@ -74,7 +74,7 @@ class PlanExecution:
 
     Args:
         robot: the robot.
-        planner: planner whose collision world follows the objects that are moved.
+        planner: planner whose scene follows the objects that are moved.
         observer: looks at the scene.
         config: settings.
         notify: receives the phases.
@@ -94,6 +94,7 @@ class PlanExecution:
         misplaced: float = MISPLACED,
     ) -> None:
         self.robot, self.planner, self.observer, self.config = robot, planner, observer, config
+        self.scene = planner.scene
         self.misplaced = misplaced
         self._notify = notify
         self.recovery = Recovery(robot, planner, observer, config)
@@ -149,8 +150,8 @@ class PlanExecution:
         self._notify("place", name)
         self._require_held(grasp, f"{name} was lost during the transfer")
         self._release(plan)
-        for moved, T in plan.poses_after(self.planner.poses()).items():
-            self.planner.moved(moved, T)
+        for moved, T in plan.poses_after(self.scene.poses()).items():
+            self.scene.moved(moved, T)
         self._notify("retreat", name)
         robot.follow(plan.retreat)
         if plan.placement.stack:
@@ -159,7 +160,7 @@ class PlanExecution:
 
     def _require_in_place(self, name: str) -> None:
         """Raise SceneChangedError if an image shows that an object is not where it was expected."""
-        if self.observer.glance(self.planner.poses(), (name,)).get(name) == "displaced":
+        if self.observer.glance(self.scene.poses(), (name,)).get(name) == "displaced":
             raise SceneChangedError(f"{name} is not where it was seen before")
 
     def _require_free_way(self, plan: PickPlacePlan) -> None:
@@ -176,7 +177,7 @@ class PlanExecution:
         def is_on_the_way(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
             return boxes.swept(transform_points(invert(T_grasp), points), back, -_INSIDE)
 
-        unknown = self.observer.unexpected(planner.poses(), planner.perceived_obstacles, is_on_the_way)
+        unknown = self.observer.unexpected(self.scene.poses(), self.scene.perceived_obstacles, is_on_the_way)
         if len(unknown) >= FEWEST_UNKNOWN:
             x, y, z = np.median(unknown, axis=0)
             raise UnknownInTheWayError(
@@ -186,15 +187,15 @@ class PlanExecution:
     def _require_released(self, plan: PickPlacePlan) -> None:
         """Raise GraspFailedError if a released object is seen elsewhere, or a mug is seen turned."""
         name = plan.name
-        if self.observer.glance(self.planner.poses(), (name,)).get(name) != "displaced":
+        if self.observer.glance(self.scene.poses(), (name,)).get(name) != "displaced":
             return
-        finding = self.observer.find(name, self.planner.poses())
+        finding = self.observer.find(name, self.scene.poses())
         if finding.T_world_stand is None:
             return  # the final verification judges what cannot be seen from here
-        self.planner.moved(name, finding.T_world_stand)
+        self.scene.moved(name, finding.T_world_stand)
         if is_displaced(plan.T_world_stand_rest, finding.T_world_stand, self.misplaced):
             raise GraspFailedError(f"{name} is not where it was released")
-        is_mug = self.planner.items[name].category == "mug" and not lies(finding.T_world_stand)
+        is_mug = self.scene.items[name].category == "mug" and not lies(finding.T_world_stand)
         if is_mug and is_turned(plan.T_world_stand_rest, finding.T_world_stand):
             raise GraspFailedError(f"{name} was turned when it was released")
 
@@ -223,7 +224,7 @@ class PlanExecution:
             return
         kinematics, positions = self.planner.kinematics, plan.lift.positions
         lift = kinematics.forward(positions[-1]) @ np.linalg.inv(kinematics.forward(positions[0]))
-        now = dict(self.planner.poses())
+        now = dict(self.scene.poses())
         for name in (plan.name, *plan.contents):
             now[name] = lift @ now[name]
         seen = self.observer.glance(now | {name: lift @ now[name] for name in below}, below)
@@ -246,7 +247,7 @@ class PlanExecution:
         """
         if "in_place" in self.observer.glance(poses, tuple(below)).values():
             return False
-        items = self.planner.items
+        items = self.scene.items
         own = KDTree(transform_points(poses[name], items[name].vertices))
         reach = max(np.linalg.norm(items[other].vertices, axis=1).max() for other in below)
 
@@ -254,7 +255,7 @@ class PlanExecution:
             apart = own.query(points, distance_upper_bound=reach)[0]
             return (apart > _BESIDE) & np.isfinite(apart) & (points[:, 2] > own.mins[2] - _BESIDE)
 
-        unknown = self.observer.unexpected(poses, self.planner.perceived_obstacles, is_beside)
+        unknown = self.observer.unexpected(poses, self.scene.perceived_obstacles, is_beside)
         return len(unknown) >= _HANGING
 
     def _carriers(self, plan: PickPlacePlan) -> tuple[str, ...]:
@@ -262,7 +263,7 @@ class PlanExecution:
 
         The floor of a bowl is thin: what stands in one may be estimated to stand as low.
         """
-        poses, items = self.planner.poses(), self.planner.items
+        poses, items = self.scene.poses(), self.scene.items
         place = poses[plan.name][:3, 3]
 
         def carries(name: str) -> bool:
@@ -284,7 +285,7 @@ class PlanExecution:
         robot.move_gripper(0.0)
         for motion in (push.transit, push.approach, push.push, push.retreat):
             robot.follow(motion)
-        self.planner.moved(push.name, push.T_world_stand)
+        self.scene.moved(push.name, push.T_world_stand)
 
     def _release(self, plan: PickPlacePlan) -> None:
         """Open the gripper; first loosen it, to lower the pads past a lip or cap or to step aside."""

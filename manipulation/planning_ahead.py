@@ -21,6 +21,7 @@ from manipulation.object_planning import ObjectPlanning, Posture
 from manipulation.obstacles import Obstacle
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
+from manipulation.planning_scene import PlanningScene
 from manipulation.types import PickPlacePlan, Placement, TaskPlan
 from perception.obstacles.obstacle import PerceivedObstacle
 
@@ -28,8 +29,8 @@ _AS_EXPECTED = 0.01  # [rad] of each joint; a robot begins motions from within 0
 
 
 @dataclass(frozen=True)
-class Scene:
-    """What a plan depends on besides goal and posture.
+class Snapshot:
+    """What a plan depends on besides goal and posture: a scene at one moment.
 
     Attributes:
         poses: T_world_stand of every object by name, of a forgotten one the last known.
@@ -42,16 +43,16 @@ class Scene:
     obstacles: tuple[Obstacle | PerceivedObstacle, ...]
 
     @staticmethod
-    def of(planner: PickPlacePlanner) -> Scene:
-        """Return the scene as a planner knows it."""
-        poses = {name: planner.world.pose(name) for name in planner.world.names}
-        return Scene(poses, planner.forgotten, planner.obstacles)
+    def of(scene: PlanningScene) -> Snapshot:
+        """Return the scene as it is now."""
+        poses = {name: scene.pose(name) for name in scene.world.names}
+        return Snapshot(poses, scene.forgotten, scene.obstacles)
 
-    def after(self, plan: PickPlacePlan) -> Scene:
+    def after(self, plan: PickPlacePlan) -> Snapshot:
         """Return the scene once a plan has been executed."""
         return replace(self, poses={**self.poses, **plan.poses_after(self.poses)})
 
-    def is_same(self, other: Scene) -> bool:
+    def is_same(self, other: Snapshot) -> bool:
         """Return whether the same objects are at the same poses among the same obstacles."""
         return (
             self.forgotten == other.forgotten
@@ -67,7 +68,7 @@ class _Begun:
     """A plan that is being made, and what it is made for."""
 
     placement: Placement
-    scene: Scene
+    scene: Snapshot
     q_start: Posture
     plan: Future[PickPlacePlan]
 
@@ -77,7 +78,7 @@ class PlanningAhead:
 
     Args:
         task: goals of all objects.
-        planner: planner whose collision world follows the scene; it is only read, in ``begin`` and ``take``.
+        planner: planner whose scene follows the objects; it is only read, in ``begin`` and ``take``.
         config: settings.
     """
 
@@ -104,7 +105,7 @@ class PlanningAhead:
         self._drop()
         if following is None:
             return
-        scene, q_start = Scene.of(self._planner).after(present), present.retreat.positions[-1]
+        scene, q_start = Snapshot.of(self._planner.scene).after(present), present.retreat.positions[-1]
         plan = self._thread.submit(self._plan, following, scene, q_start)
         self._begun = _Begun(following, scene, q_start, plan)
 
@@ -122,7 +123,7 @@ class PlanningAhead:
         if (
             begun is None
             or not _is_same_goal(begun.placement, placement)
-            or not begun.scene.is_same(Scene.of(self._planner))
+            or not begun.scene.is_same(Snapshot.of(self._planner.scene))
             or np.abs(begun.q_start - q).max() > _AS_EXPECTED
         ):
             self._drop()
@@ -136,7 +137,7 @@ class PlanningAhead:
             self._begun.plan.cancel()
             self._begun = None
 
-    def _plan(self, placement: Placement, scene: Scene, q_start: Posture) -> PickPlacePlan:
+    def _plan(self, placement: Placement, scene: Snapshot, q_start: Posture) -> PickPlacePlan:
         """Return the plan for one object in a scene; runs in the thread."""
         items = {
             name: replace(item, T_world_stand=scene.poses[name]) for name, item in self._task.objects.items()
@@ -144,7 +145,7 @@ class PlanningAhead:
         settings, grasps = self._config.pick_place, self._task.grasps
         planner = PickPlacePlanner(self._kinematics, items, scene.obstacles, settings, grasps)
         for name in scene.forgotten:
-            planner.forget(name)
+            planner.scene.forget(name)
         return ObjectPlanning(self._task, planner, self._config).next_plan(placement, q_start)
 
     @cached_property

@@ -37,7 +37,7 @@ class Recovery:
 
     Args:
         robot: the robot.
-        planner: planner whose collision world follows the objects that are moved.
+        planner: planner whose scene follows the objects that are moved.
         observer: looks at the scene.
         config: settings.
     """
@@ -46,6 +46,7 @@ class Recovery:
         self, robot: Robot, planner: PickPlacePlanner, observer: SceneObserver, config: ManipulationConfig
     ) -> None:
         self._robot, self._planner, self._observer, self._config = robot, planner, observer, config
+        self._scene = planner.scene
 
     def back_off(self, grasp: Grasp | None = None) -> None:
         """Retreat vertically if that is possible; after a grasp with the fingers as far apart as before it.
@@ -127,25 +128,24 @@ class Recovery:
 
     def _something_hangs(self, rise: JointTrajectory) -> bool:
         """Return whether an image shows something unknown between or beside the fingers after a rise."""
-        planner = self._planner
-        before, now = (planner.kinematics.forward(rise.positions[k])[:3, 3] for k in (0, -1))
+        forward = self._planner.kinematics.forward
+        before, now = (forward(rise.positions[k])[:3, 3] for k in (0, -1))
         reach = min(_HANGING, float((now - before)[2]) - _CLEAR)
 
         def is_near(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
             return np.linalg.norm(points - now, axis=1) < reach
 
-        unknown = self._observer.unexpected(planner.poses(), planner.perceived_obstacles, is_near)
+        unknown = self._observer.unexpected(self._scene.poses(), self._scene.perceived_obstacles, is_near)
         return len(unknown) >= FEWEST_UNKNOWN
 
     def _places_to_set_down(self, plan: PickPlacePlan) -> tuple[list[tuple[float, float]], float]:
         """Return spots with room for an object however it is turned, and the height [m] of its base now."""
-        planner = self._planner
-        T, vertices = planner.world.pose(plan.name), planner.items[plan.name].vertices
+        scene, forward = self._scene, self._planner.kinematics.forward
+        T, vertices = scene.pose(plan.name), scene.items[plan.name].vertices
         reach = np.linalg.norm(vertices - plan.grasp.T_stand_tcp[:3, 3], axis=1).max()
-        others = outlines_of_others(
-            planner.items, planner.poses(), planner.perceived_obstacles, {plan.name, *plan.contents}
-        )
-        x, y, _ = planner.kinematics.forward(plan.lift.positions[0])[:3, 3]
+        moved = {plan.name, *plan.contents}
+        others = outlines_of_others(scene.items, scene.poses(), scene.perceived_obstacles, moved)
+        x, y, _ = forward(plan.lift.positions[0])[:3, 3]
         spots = roomy_spots((float(x), float(y)), float(reach), others, self._config.free_area)
         return spots, float((vertices @ T[2, :3]).min() + T[2, 3])
 
@@ -157,10 +157,8 @@ class Recovery:
 
     def _note_set_down(self, plan: PickPlacePlan) -> None:
         """Expect an object where the hand has brought it, as if it had not turned."""
-        planner = self._planner
-        T_grasped, T_now = map(
-            planner.kinematics.forward, (plan.lift.positions[0], self._robot.joint_positions())
-        )
+        forward = self._planner.kinematics.forward
+        T_grasped, T_now = map(forward, (plan.lift.positions[0], self._robot.joint_positions()))
         if np.linalg.norm((T_now - T_grasped)[:3, 3]) > _ASIDE:
             for name in (plan.name, *plan.contents):
-                planner.moved(name, T_now @ invert(T_grasped) @ planner.world.pose(name))
+                self._scene.moved(name, T_now @ invert(T_grasped) @ self._scene.pose(name))

@@ -1,4 +1,4 @@
-"""Follows the scene: the planner's collision world is set to what is seen of the objects."""
+"""Follows the objects: the scene of planning is set to what is seen."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manipulation.observation import Finding, SceneObserver, is_displaced
-from manipulation.pick_place import PickPlacePlanner
+from manipulation.planning_scene import PlanningScene
 
 BESIDE = 0.15  # [m] between the axes of a moved object and of those that it may have pushed
 
@@ -31,39 +31,39 @@ class SceneFollowing:
     """Looks for objects and sets them, and the things of no class, to where they are.
 
     Args:
-        planner: planner whose collision world follows the scene.
+        scene: the scene of planning, which is updated.
         observer: looks at the scene.
     """
 
-    def __init__(self, planner: PickPlacePlanner, observer: SceneObserver) -> None:
-        self._planner, self._observer = planner, observer
+    def __init__(self, scene: PlanningScene, observer: SceneObserver) -> None:
+        self._scene, self._observer = scene, observer
 
     def find(self, name: str) -> Finding:
         """Search for an object; update its pose and the things of no class as far as they were seen."""
-        finding = self._observer.find(name, self._planner.poses())
+        finding = self._observer.find(name, self._scene.poses())
         if finding.obstacles is not None:
-            self._planner.observe_obstacles(finding.obstacles)
+            self._scene.observe_obstacles(finding.obstacles)
         if finding.T_world_stand is not None:
-            self._planner.moved(name, finding.T_world_stand)
+            self._scene.moved(name, finding.T_world_stand)
         return finding
 
     def search(self, name: str) -> Searched:
         """Search for an object where it was, and then on the table."""
-        before = self._planner.poses().get(name)
+        before = self._scene.poses().get(name)
         finding = self.find(name)
         if finding.status == "missing":
-            self._planner.forget(name)
+            self._scene.forget(name)
             return Searched(f"{name} is nowhere on the table within view: it was taken away or fell off")
         T = finding.T_world_stand
-        if T is None and name in self._planner.forgotten:
+        if T is None and name in self._scene.forgotten:
             return Searched(f"{name} is nowhere within view, as before")
         return Searched(is_in_place=T is not None and before is not None and not is_displaced(before, T))
 
     def renew_obstacles(self) -> None:
         """Look for the things of no class anew, beside the objects as they are."""
-        obstacles = self._observer.find_obstacles(self._planner.poses())
+        obstacles = self._observer.find_obstacles(self._scene.poses())
         if obstacles is not None:
-            self._planner.observe_obstacles(obstacles)
+            self._scene.observe_obstacles(obstacles)
 
     def displaced_near(
         self, T_world_stand: Float[np.ndarray, "4 4"], but: Collection[str]
@@ -74,7 +74,7 @@ class SceneFollowing:
             T_world_stand: pose of an object that was moved.
             but: names of the objects that are not looked at.
         """
-        poses = self._planner.poses()
+        poses = self._scene.poses()
         beside = tuple(
             name
             for name, T in poses.items()

@@ -36,7 +36,7 @@ class StackSettling:
 
     Args:
         robot: the robot.
-        planner: planner whose collision world follows the bowls.
+        planner: planner whose scene follows the bowls.
         observer: looks at them.
         back_off: retreats with the hand where a press met resistance.
         on_press: called with the name of each bowl that is pressed.
@@ -51,6 +51,7 @@ class StackSettling:
         on_press: Callable[[str], None],
     ) -> None:
         self._robot, self._planner, self._observer = robot, planner, observer
+        self._scene = planner.scene
         self._back_off, self._on_press = back_off, on_press
 
     def settle(self, plan: PickPlacePlan) -> None:
@@ -65,35 +66,35 @@ class StackSettling:
         name, names = plan.name, (plan.name, *reversed(plan.placement.stack))
         has_pushed = False
         for presses in itertools.count():
-            before = self._planner.poses()
+            before = self._scene.poses()
             seen = self._observer.look_closer(names, before)
             if not is_plausible(seen):
                 return
             heights = {other: resting_height(before[other], T) for other, T in seen.items()}
             for other, T_world_stand in seen.items():
-                self._planner.moved(other, levelled(T_world_stand, heights[other]))
-            items = self._planner.items
+                self._scene.moved(other, levelled(T_world_stand, heights[other]))
+            items = self._scene.items
             possible = {n: T for n, T in seen.items() if can_lean(items[n], before[n], T)}
             leaning = lowest_leaning(names, possible)
             if leaning is None:
                 return
             beneath = names[names.index(leaning) + 1]
             in_vain = presses == MAX_PRESSES + len(names) - 2 or (has_pushed and leaning == name)
-            T_beneath = self._planner.world.pose(beneath)
+            T_beneath = self._scene.pose(beneath)
             if in_vain or not is_pressable(items[leaning], seen[leaning], items[beneath], T_beneath):
                 if name not in seen or lean(seen[name]) < LEVEL:
                     return
-                self._planner.moved(name, seen[name])
+                self._scene.moved(name, seen[name])
                 # A bowl below has a cavity now.
-                self._planner.observe_obstacles(self._planner.perceived_obstacles)
+                self._scene.observe_obstacles(self._scene.perceived_obstacles)
                 raise LeaningError(
                     f"{name} leans by {np.rad2deg(lean(seen[name])):.0f} degrees in {names[1]}"
                 )
             has_pushed |= presses > 0 and leaning != name
             # Pressed level, it will be over the middle of the one below.
-            rest = self._planner.world.pose(beneath).copy()
+            rest = self._scene.pose(beneath).copy()
             rest[2, 3] = heights[leaning]
-            self._planner.moved(leaning, rest)
+            self._scene.moved(leaning, rest)
             self._press(leaning, seen[leaning], frozenset(names), draws=presses > 0)
 
     def _press(
@@ -101,7 +102,7 @@ class StackSettling:
     ) -> None:
         """Press a leaning bowl down with the closed hand, as far as it gives, and draw it to the middle."""
         robot, planner = self._robot, self._planner
-        motions, item, T_rest = planner.motions, planner.items[name], planner.world.pose(name)
+        motions, item, T_rest = planner.motions, planner.scene.items[name], planner.scene.pose(name)
         q = robot.joint_positions()
         ways = (True, False) if draws else (False,)
         presses = (plan_press(motions, item, T_world_stand, T_rest, q, touched, way) for way in ways)

@@ -25,7 +25,7 @@ class TaskOrder:
 
     Args:
         placements: goals in the order of the task.
-        places: the planner, whose collision world follows the scene.
+        places: the planner, whose scene follows what is seen.
     """
 
     def __init__(self, placements: Sequence[Placement], places: Places) -> None:

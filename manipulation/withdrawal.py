@@ -64,7 +64,7 @@ class Withdrawal:
 
     Args:
         robot: the robot.
-        planner: planner whose collision world follows the scene.
+        planner: planner whose scene follows what is seen.
     """
 
     def __init__(self, robot: Robot, planner: PickPlacePlanner) -> None:

@@ -60,6 +60,6 @@ def planning_times(networks: Perception, n_objects: int, seed: int) -> PlanningT
             motions = None
         seconds.append(time.process_time() - begin)
         if motions is not None:
-            planner.moved(placement.name, motions.T_world_stand_rest)
+            planner.scene.moved(placement.name, motions.T_world_stand_rest)
             q = motions.retreat.positions[-1]
     return PlanningTimes(layout, tuple(seconds))

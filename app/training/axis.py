@@ -12,14 +12,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from app.training.crop_cycles import CalibratedNetwork, train_ensemble
 from app.training.crop_dataset import LabelledCrops, Progress
-from app.training.detector import (
-    RENDERING_SHARE,
-    CalibratedNetwork,
-    provenance,
-    stage_progress,
-    train_ensemble,
-)
+from app.training.detector_config import RENDERING_SHARE, provenance, stage_progress
 from app.training.files import checksums
 from app.training.pose import PoseMix, TrainPoseConfig, posed_crops
 from app.training.resources import Resources

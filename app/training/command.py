@@ -95,8 +95,9 @@ def _job(options: TrainOptions) -> tuple[Any, Any]:
             return shape.run, shape.TrainShapeConfig()
         case "detector":
             from app.training import detector
+            from app.training.detector_config import TrainDetectorConfig
 
-            return detector.run, detector.TrainDetectorConfig()
+            return detector.run, TrainDetectorConfig()
         case "pose":
             from app.training import pose
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from app.jobs import Workers
+from app.training.crop_cycles import CalibratedNetwork, CropSplits, train_cycles
 from app.training.crop_dataset import (
     LabelledCrops,
     Progress,
@@ -22,15 +23,12 @@ from app.training.crop_dataset import (
     perturb_masks,
     perturb_plane,
 )
-from app.training.detector import (
+from app.training.detector_config import (
     RENDERING_SHARE,
     STACKED,
-    CalibratedNetwork,
-    CropSplits,
     TrainDetectorConfig,
     provenance,
     stage_progress,
-    train_cycles,
 )
 from app.training.files import checksums
 from app.training.resources import Resources

@@ -13,15 +13,10 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from app.training.crop_cycles import CalibratedNetwork, train_ensemble
 from app.training.crop_dataset import LabelledCrops, Progress
-from app.training.detector import (
-    RENDERING_SHARE,
-    CalibratedNetwork,
-    TrainDetectorConfig,
-    render_data_sets,
-    stage_progress,
-    train_ensemble,
-)
+from app.training.detector import render_data_sets
+from app.training.detector_config import RENDERING_SHARE, TrainDetectorConfig, stage_progress
 from app.training.files import checksums
 from app.training.resources import Resources
 from perception.detection.crop_training import CropSet, TrainingConfig, TrainingData

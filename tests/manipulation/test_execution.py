@@ -192,7 +192,7 @@ def test_motions_are_free_of_contact_in_the_planners_world(packing, arm):
     )
     placement = next(p for p in packing.placements if p.name == "can_1")
     plan = planner.plan(placement, np.asarray(arm.q_home))
-    world, grasp = planner.world, plan.grasp
+    world, grasp = planner.scene.world, plan.grasp
     near = world.path_contact(
         plan.approach.positions[::20], grasp.opening, AllowedContacts(frozenset({"can_1"}))
     )
@@ -642,8 +642,8 @@ def test_a_placed_object_that_blocks_another_is_set_aside_and_placed_again(scene
 
     def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
-        is_blocked = np.linalg.norm(self.world.pose(first)[:2, 3] - goal) < 0.01
-        if placements[0].name == second and is_blocked and first not in self.forgotten:
+        is_blocked = np.linalg.norm(self.scene.pose(first)[:2, 3] - goal) < 0.01
+        if placements[0].name == second and is_blocked and first not in self.scene.forgotten:
             raise NoPlanError("blocked", (first,))
         return plan(self, placements, q_start, tried, grasps)
 
@@ -664,7 +664,7 @@ def test_a_placed_object_is_not_moved_for_one_that_has_no_plan_without_it_either
     def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
         if placements[0].name == second:
-            raise NoPlanError("blocked", ("table",) if first in self.forgotten else (first, "table"))
+            raise NoPlanError("blocked", ("table",) if first in self.scene.forgotten else (first, "table"))
         return plan(self, placements, q_start, tried, grasps)
 
     monkeypatch.setattr(PickPlacePlanner, "plan", blocked)
@@ -684,7 +684,7 @@ def test_an_object_whose_neighbours_block_its_way_is_itself_set_aside(scene, arm
 
     def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
-        is_at_start = np.linalg.norm(self.world.pose(name)[:2, 3] - start) < 0.01
+        is_at_start = np.linalg.norm(self.scene.pose(name)[:2, 3] - start) < 0.01
         is_goal = np.linalg.norm(np.subtract(placements[0].position[:2], goal)) < 0.01
         if placements[0].name == name and is_at_start and is_goal:
             raise NoPlanError("blocked", ("obstacle_1",))
@@ -719,7 +719,7 @@ def test_an_object_lost_while_it_is_itself_set_aside_is_not_planned(scene, arm, 
 
     def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
-        assert placements[0].name not in self.forgotten
+        assert placements[0].name not in self.scene.forgotten
         if placements[0].name == name and np.allclose(placements[0].position[:2], goal):
             raise NoPlanError("blocked", ("obstacle_1",))
         return plan(self, placements, q_start, tried, grasps)
@@ -744,9 +744,9 @@ def test_a_blocker_lost_while_it_is_set_aside_is_searched_for_before_it_is_plann
 
     def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
-        if placements[0].name == second and first not in self.forgotten:
+        if placements[0].name == second and first not in self.scene.forgotten:
             raise NoPlanError("blocked", (first,))
-        assert placements[0].name not in self.forgotten
+        assert placements[0].name not in self.scene.forgotten
         return plan(self, placements, q_start, tried, grasps)
 
     monkeypatch.setattr(PickPlacePlanner, "plan", blocked)
@@ -908,7 +908,7 @@ def test_an_object_that_no_hand_fits_beside_is_pushed_and_grasped_where_it_is_fo
 
     def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
-        if placements[0].name == name and np.allclose(self.world.pose(name), start):
+        if placements[0].name == name and np.allclose(self.scene.pose(name), start):
             raise NoPlanError("blocked", ("thing_1",))
         return plan(self, placements, q_start, tried, grasps)
 
@@ -945,8 +945,8 @@ def test_what_stood_in_the_box_before_is_set_aside_for_another_object_and_put_ba
 
     def blocked(self, placements, q_start, tried=(), grasps=None, contents=()):
         placements = [placements] if isinstance(placements, Placement) else placements
-        is_there = np.linalg.norm((self.world.pose(old) - there)[:2, 3]) < 0.01
-        if placements[0].name == new and is_there and old not in self.forgotten:
+        is_there = np.linalg.norm((self.scene.pose(old) - there)[:2, 3]) < 0.01
+        if placements[0].name == new and is_there and old not in self.scene.forgotten:
             raise NoPlanError("blocked", (old,))
         return plan(self, placements, q_start, tried, grasps)
 

@@ -1,19 +1,19 @@
 import contextlib
 from collections import Counter
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from manipulation import object_planning
+from manipulation import object_planning, open_places
 from manipulation.errors import NoPlanError, PlanningError
 from manipulation.object_planning import DOUBTFUL, DROP, LOW, Effort, ObjectPlanning
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
+from manipulation.planning_scene import PlanningScene, SceneState
 from manipulation.pushing import Push
 from manipulation.standing import to_standing
-from manipulation.types import Box, Grasp, GraspSet, Line, PickPlacePlan, Placement, TaskPlan
+from manipulation.types import Box, Grasp, GraspSet, PickPlacePlan, Placement, TaskPlan
 from perception.geometry import pose_from_yaw
 
 Q = np.zeros(7)
@@ -37,27 +37,33 @@ GRASPS, TILTED, KEEPING = (GraspSet((grasp(),), Counter()) for _ in range(3))
 FOUND = grasp()  # that of a plan
 
 
-class FakePlanner(PickPlacePlanner):
-    """Records what it is asked to plan; ``feasible`` decides by goals and grasps."""
+class FakeScene(PlanningScene):
+    """Objects at ``Ts``, on which no collision is ever checked."""
 
-    def __init__(self, items, feasible=lambda goals, grasps: False):
-        self.items, self.feasible, self.requests, self.contents = items, feasible, [], []
-        self._obstacles, self.found, self._state = (), GRASPS, 0
+    def __init__(self, items):
+        self.items, self.found, self.state = items, GRASPS, SceneState()
+        self._obstacles = ()
         self.absent: frozenset[str] = frozenset()
-        self.pickable, self.examined = (lambda T: True), []
-        self.within_reach = lambda position: True
         self.Ts = {name: item.T_world_stand for name, item in items.items()}
-        self.world, self.motions = SimpleNamespace(pose=self.Ts.__getitem__), None
+
+    def pose(self, name):
+        return self.Ts[name]
 
     def poses(self):
         return dict(self.Ts)
 
     @contextlib.contextmanager
     def without(self, names):
-        before, self.absent, state = self.absent, frozenset(names), self._state
-        self._state += 1 + hash(self.absent)
+        before, self.absent, state = self.absent, frozenset(names), self.state
+        self.state = SceneState()
         yield
-        self.absent, self._state = before, state
+        self.absent, self.state = before, state
+
+    @contextlib.contextmanager
+    def supposing(self, name, T_world_stand):
+        T_now, self.Ts[name] = self.Ts[name], T_world_stand
+        yield
+        self.Ts[name] = T_now
 
     def grasps(self, name):
         return self.found
@@ -67,6 +73,20 @@ class FakePlanner(PickPlacePlanner):
 
     def keeping_grasps(self, name):
         return KEEPING
+
+
+class FakePlanner(PickPlacePlanner):
+    """Records what it is asked to plan; ``feasible`` decides by goals and grasps."""
+
+    def __init__(self, items, feasible=lambda goals, grasps: False):
+        self.scene = FakeScene(items)
+        self.feasible, self.requests, self.contents = feasible, [], []
+        self.pickable, self.examined = (lambda T: True), []
+        self.within_reach = lambda position: True
+
+    @property
+    def motions(self):
+        return None
 
     def can_pick(self, name, T_world_stand, grasps=None):
         self.examined.append((T_world_stand, grasps))
@@ -110,8 +130,9 @@ def test_the_plain_effort_is_the_goal_with_the_grasps_of_the_shape(items):
 def test_what_failed_is_not_tried_again_until_the_scene_changes(items):
     planner = FakePlanner(items)
     planned = planning(items, planner)
+    states = SceneState(), SceneState()
     for state, n_requests in ((0, 1), (0, 1), (1, 2)):
-        planner._state = state
+        planner.scene.state = states[state]
         with pytest.raises(NoPlanError):
             planned.next_plan(GOAL, Q)
         assert len(planner.requests) == n_requests
@@ -121,7 +142,7 @@ def test_a_place_that_was_narrowed_is_shifted_and_the_planned_one_comes_second(i
     planner = FakePlanner(items, lambda goals, grasps: True)
     beside = pose_from_yaw(0.0, np.array(GOAL.position))
     beside[0, 3] -= 0.09  # the bowl is within 2 mm of where the can is to stand
-    planner.Ts["bowl_2"] = beside
+    planner.scene.Ts["bowl_2"] = beside
     planning(items, planner).next_plan(GOAL, Q)
     ((shifted, planned), grasps) = planner.requests[0]
     assert planned == GOAL and grasps is None and shifted.name == GOAL.name
@@ -132,10 +153,10 @@ def test_what_waits_is_no_obstacle_but_its_goal_is(items):
     planner = FakePlanner(items, lambda goals, grasps: True)
     beside = pose_from_yaw(0.0, np.array(GOAL.position))
     beside[0, 3] -= 0.09
-    planner.Ts["bowl_2"] = beside
+    planner.scene.Ts["bowl_2"] = beside
     later = Placement("can_3", (GOAL.position[0] + 0.07, *GOAL.position[1:]), (0.0,))
     objects = items | {"can_3": replace(items["can_1"], id=3, name="can_3")}
-    planner.Ts["can_3"] = items["can_1"].T_world_stand
+    planner.scene.Ts["can_3"] = items["can_1"].T_world_stand
     task = TaskPlan("pack", objects, (GOAL, later), box=Box())
     ObjectPlanning(task, planner, CONFIG).next_plan(GOAL, Q)
     goals = planner.requests[0][0]
@@ -173,7 +194,7 @@ def test_what_lies_and_met_something_is_turned_on_free_table_first(items):
     T = np.eye(4)
     T[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
     T[:3, 3] = 0.5, -0.2, 0.033
-    planner.Ts["can_1"] = T
+    planner.scene.Ts["can_1"] = T
     for blocked in (0, 1):
         planning(items, planner).next_plan(GOAL, Q, blocked=blocked)
     before, after = (goals for goals, _ in planner.requests)
@@ -211,7 +232,7 @@ def test_a_low_object_is_dropped_where_it_cannot_be_put_down(shapes, height, is_
 def test_grasps_of_what_nearly_fills_the_hand_come_after_those_at_any_angle(items):
     sure, doubtful = grasp(), grasp(DOUBTFUL - 0.1)
     planner = FakePlanner(items)
-    planner.found = GraspSet((sure, doubtful), Counter({"too wide": 3}))
+    planner.scene.found = GraspSet((sure, doubtful), Counter({"too wide": 3}))
     with pytest.raises(NoPlanError):
         planning(items, planner).next_plan(GOAL, Q, effort=Effort.FLEXIBLE)
     grasps = [used for _, used in planner.requests]
@@ -249,8 +270,8 @@ def nest(shapes, height=0.02, category="bowl", mesh=None):
 def test_a_bowl_is_carried_with_the_bowl_in_it_if_nothing_else_is_possible(shapes):
     planner = nest(shapes)
     planner.feasible = lambda goals, grasps: bool(planner.contents[-1])
-    goals = tuple(Placement(name, GOAL.position, GOAL.yaws) for name in planner.items)
-    task = TaskPlan("pack", planner.items, goals, box=Box())
+    goals = tuple(Placement(name, GOAL.position, GOAL.yaws) for name in planner.scene.items)
+    task = TaskPlan("pack", planner.scene.items, goals, box=Box())
     with pytest.raises(NoPlanError):
         ObjectPlanning(task, planner, CONFIG).next_plan(goals[0], Q)
     ObjectPlanning(task, planner, CONFIG).next_plan(goals[0], Q, effort=Effort.FLEXIBLE)
@@ -263,15 +284,15 @@ def test_a_bowl_is_carried_with_the_bowl_in_it_if_nothing_else_is_possible(shape
 
 
 def test_only_upright_bowls_are_carried_in_a_bowl(shapes):
-    assert nest(shapes).bowls_in("bowl_1") == ("bowl_2",)
-    assert nest(shapes).bowls_in("bowl_2") == ()
-    assert nest(shapes, height=0.2).bowls_in("bowl_1") == ()
-    assert nest(shapes, category="can", mesh=shapes.can(0.02, 0.06)).bowls_in("bowl_1") == ()
+    assert nest(shapes).scene.bowls_in("bowl_1") == ("bowl_2",)
+    assert nest(shapes).scene.bowls_in("bowl_2") == ()
+    assert nest(shapes, height=0.2).scene.bowls_in("bowl_1") == ()
+    assert nest(shapes, category="can", mesh=shapes.can(0.02, 0.06)).scene.bowls_in("bowl_1") == ()
     tipped = nest(shapes)
-    tipped.Ts["bowl_2"] = tipped.Ts["bowl_2"].copy()
-    tipped.Ts["bowl_2"][:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
-    tipped.Ts["bowl_2"][2, 3] = 0.06
-    assert tipped.bowls_in("bowl_1") == ()
+    tipped.scene.Ts["bowl_2"] = tipped.scene.Ts["bowl_2"].copy()
+    tipped.scene.Ts["bowl_2"][:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    tipped.scene.Ts["bowl_2"][2, 3] = 0.06
+    assert tipped.scene.bowls_in("bowl_1") == ()
 
 
 def lying(items):
@@ -279,7 +300,7 @@ def lying(items):
     T[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
     T[:3, 3] = 0.5, -0.3, 0.033
     planner = FakePlanner(items, lambda goals, grasps: grasps is not None)
-    planner.Ts["can_1"] = T
+    planner.scene.Ts["can_1"] = T
     return planner
 
 
@@ -307,7 +328,9 @@ def test_what_lies_is_set_upright_where_it_can_be_taken_on(items, far):
 
 def overturned(items, pickable):
     planner = lying(items)
-    planner.Ts["can_1"] = pose_from_yaw(0.0, np.array([0.5, -0.3, 0.1])) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    planner.scene.Ts["can_1"] = pose_from_yaw(0.0, np.array([0.5, -0.3, 0.1])) @ np.diag(
+        [1.0, -1.0, -1.0, 1.0]
+    )
     planner.pickable = pickable
     return planner
 
@@ -339,9 +362,9 @@ def test_it_is_laid_anyhow_where_it_can_be_grasped_nowhere(items):
 def test_places_to_lay_it_are_examined_once_in_a_scene(items):
     planner = overturned(items, lambda T: T[0, 3] < 0.45)
     planned = planning(items, planner)
-    counts = []
+    counts, states = [], (SceneState(), SceneState())
     for state in (0, 0, 1):
-        planner._state = state
+        planner.scene.state = states[state]
         with pytest.raises(PlanningError, match="stands upside down"):
             planned.next_plan(GOAL, Q, effort=Effort.PLAIN)
         counts.append(len(planner.examined))
@@ -358,8 +381,8 @@ def test_what_lies_is_set_aside_where_it_can_be_turned(items):
 
 def test_an_object_without_a_grasp_is_reported_with_its_pose(items):
     planner = lying(items)
-    planner.Ts["can_1"] = items["can_1"].T_world_stand @ np.diag([1.0, -1.0, -1.0, 1.0])
-    planner.found = GraspSet((), Counter())
+    planner.scene.Ts["can_1"] = items["can_1"].T_world_stand @ np.diag([1.0, -1.0, -1.0, 1.0])
+    planner.scene.found = GraspSet((), Counter())
     with pytest.raises(PlanningError, match=r"can_1 stands upside down at .*turn it over by hand"):
         planning(items, planner).next_plan(GOAL, Q)
 
@@ -401,22 +424,16 @@ class Blocked(FakePlanner):
         if grasps is not None and grasps.grasps[0] is FOUND:
             assert goals is GOAL, "the place of the plan that was found"
             needed |= self.also
-        if needed <= self.absent:
+        if needed <= self.scene.absent:
             plan = object.__new__(PickPlacePlan)
             plan.__dict__.update(
                 name="can_1", grasp=FOUND, placement=GOAL, contents=(), T_world_stand_rest=AT_GOAL
             )
             return plan
-        raise NoPlanError("No plan", tuple(name for name in self.blockers if name not in self.absent))
-
-    @contextlib.contextmanager
-    def supposing(self, name, T_world_stand):
-        T_now, self.Ts[name] = self.Ts[name], T_world_stand
-        yield
-        self.Ts[name] = T_now
+        raise NoPlanError("No plan", tuple(name for name in self.blockers if name not in self.scene.absent))
 
     def can_place_after(self, placement, before):
-        assert self.Ts["can_1"] is AT_GOAL and placement.name not in self.absent and not before
+        assert self.scene.Ts["can_1"] is AT_GOAL and placement.name not in self.scene.absent and not before
         self.asked.append(placement)
         return placement.position[0] in self.free
 
@@ -438,7 +455,7 @@ def test_what_is_moved_for_an_object_is_what_it_needs_and_nothing_if_that_does_n
     planner.needed = frozenset(needed)
     planned = planning(items, planner)
     assert planned.in_the_way(GOAL, Q, (), Effort.CLEARING, movable) == expected
-    assert not planner.absent
+    assert not planner.scene.absent
 
 
 def test_what_blocks_the_plan_that_was_found_alone_is_not_moved(items):
@@ -461,10 +478,10 @@ def test_what_is_in_its_place_is_moved_only_if_it_has_one_afterwards(
     planner = Blocked(items)
     planner.free = free
     planned = planning(items, planner)
-    monkeypatch.setattr(object_planning, "free_places", lambda *_, **__: others)
+    monkeypatch.setattr(open_places, "free_places", lambda *_, **__: others)
     movable = {"bowl_2", "mug_3"}
     assert planned.in_the_way(GOAL, Q, (), Effort.PLAIN, movable, {"bowl_2": own}) == expected
-    assert planner.asked and planner.Ts["can_1"] is not AT_GOAL
+    assert planner.asked and planner.scene.Ts["can_1"] is not AT_GOAL
     planner.asked.clear()
     assert planned.in_the_way(GOAL, Q, (), Effort.PLAIN, movable, {"mug_3": own}) == {"bowl_2"}
     assert not planner.asked, "only what is moved has to be put back"
@@ -484,7 +501,7 @@ def test_what_cannot_be_set_aside_is_not_tried_again_in_the_same_scene(items):
     for _ in range(2):
         assert not list(planned.plans_aside(("bowl_2",), {"bowl_2"}, Q))
     assert len(planner.requests) == 1
-    planner._state += 1
+    planner.scene.state = SceneState()
     assert not list(planned.plans_aside(("bowl_2",), {"bowl_2"}, Q)) and len(planner.requests) == 2
 
 
@@ -498,7 +515,7 @@ def test_what_failed_is_remembered_while_plans_without_some_objects_are_made(ite
 
     attempt()
     first = len(planner.requests)
-    with planner.without({"bowl_2"}):
+    with planner.scene.without({"bowl_2"}):
         attempt()
     assert len(planner.requests) == 2 * first
     attempt()
@@ -511,7 +528,7 @@ def test_a_push_that_does_not_help_is_not_planned_again_in_the_same_scene(items,
     planner = FakePlanner(items, lambda goals, grasps: False)
     planned = planning(items, planner)
     assert planned.push("can_1", Q) is None and planned.push("can_1", Q) is None and len(asked) == 1
-    planner._state += 1
+    planner.scene.state = SceneState()
     assert planned.push("can_1", Q) is None and len(asked) == 2
 
 
@@ -520,34 +537,5 @@ def test_nothing_is_pushed_in_the_box(items, monkeypatch):
     monkeypatch.setattr(object_planning, "plan_push", lambda *_: push)
     planner = FakePlanner(items, lambda goals, grasps: False)
     assert planning(items, planner).push("can_1", Q) is push
-    planner.Ts["can_1"] = pose_from_yaw(0.0, np.array([*GOAL.position[:2], 0.0]))
+    planner.scene.Ts["can_1"] = pose_from_yaw(0.0, np.array([*GOAL.position[:2], 0.0]))
     assert planning(items, planner).push("can_1", Q) is None
-
-
-def test_what_stands_in_the_box_may_be_moved_and_put_back(items):
-    """But bowls, which may hold something, what lies there, and what has another goal."""
-    planner = FakePlanner(items)
-    planned = planning(items, planner)
-    assert planned.goals_in_place(()) == {}, "both are on the table"
-    T = pose_from_yaw(0.4, np.array([*GOAL.position[:2], 0.005]))
-    planner.Ts["can_1"] = planner.Ts["bowl_2"] = T
-    (goal,) = planned.goals_in_place(()).values()
-    assert goal.name == "can_1" and goal.position == (*GOAL.position[:2], Box().floor) and goal.stack == ()
-    assert goal.yaws[0] == pytest.approx(0.4) and goal.release_height == CONFIG.packing.release_height
-    assert planned.goals_in_place(("can_1",)) == {}
-    planner.Ts["can_1"] = T @ np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1.0]])
-    assert planned.goals_in_place(()) == {}
-    task = TaskPlan("sort", items, (GOAL,), box=Box())
-    planner.Ts["can_1"] = T
-    assert ObjectPlanning(task, planner, CONFIG).goals_in_place(()) == {}, "the box is an obstacle"
-
-
-def test_what_stands_on_a_row_may_be_moved_and_put_back(items):
-    planner = FakePlanner(items)
-    planned = ObjectPlanning(TaskPlan("sort", items, (GOAL,), lines=(Line(),)), planner, CONFIG)
-    assert planned.goals_in_place(()) == {}, "both are beside it"
-    x, y = np.array(Line().start) + 0.3 * Line().direction
-    planner.Ts["can_1"] = planner.Ts["bowl_2"] = pose_from_yaw(0.4, np.array([x, y, 0.002]))
-    goals = planned.goals_in_place(("can_1",))
-    assert goals.keys() == {"bowl_2"} and goals["bowl_2"].position == pytest.approx((x, y, 0.0))
-    assert goals["bowl_2"].release_height == CONFIG.sorting.release_height

@@ -3,7 +3,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from manipulation import pick_place
 from manipulation.candidates import Tally
@@ -18,8 +17,6 @@ from manipulation.robot import JointTrajectory
 from manipulation.standing import to_standing
 from manipulation.trajectories import MotionConfig
 from manipulation.types import PickPlacePlan, Placement
-from perception.geometry import pose_from_yaw
-from perception.obstacles.obstacle import PerceivedObstacle
 
 CONFIG = PickPlaceConfig(
     max_plans=1,
@@ -58,7 +55,7 @@ def posture(kinematics, x, y, z):
 def test_transit_avoids_obstacles_with_the_hand_and_the_carried_object(kinematics, items):
     planner = PickPlacePlanner(kinematics, items, (TABLE, WALL), CONFIG)
     plan = planner.plan(GOAL, posture(kinematics, 0.5, 0.2, 0.2))
-    world, margin = planner.world, CONFIG.transit_margins[-1]
+    world, margin = planner.scene.world, CONFIG.transit_margins[-1]
     touch_can = AllowedContacts(frozenset({"can_1"}), robot_margin=0.9 * margin)
     assert world.path_contact(plan.approach.positions[::20], plan.grasp.opening, touch_can) is None
     world.carry("can_1", np.linalg.inv(plan.grasp.T_stand_tcp))
@@ -86,9 +83,9 @@ def test_an_obstacle_that_cannot_be_avoided_is_the_reason(kinematics, items):
 
 def test_no_candidate_within_reach_suggests_to_move_the_object(kinematics, items):
     planner = PickPlacePlanner(kinematics, items, config=CONFIG)
-    far = planner.world.pose("can_1")
+    far = planner.scene.pose("can_1")
     far[:2, 3] = 1.2, 0.0
-    planner.moved("can_1", far)
+    planner.scene.moved("can_1", far)
     with pytest.raises(PlanningError, match=r"of 4 candidates, 4 out of reach; move it closer to the arm"):
         planner.plan(GOAL, kinematics.arm.q_home)
 
@@ -118,7 +115,7 @@ def test_the_shortest_plan_of_grasps_that_are_as_good_is_returned(
     """At most three plans are compared, none of a grasp whose score is much lower than that of the first."""
     planner = PickPlacePlanner(kinematics, items, config=PickPlaceConfig(grasp=CONFIG.grasp, max_plans=3))
     plans = iter([plan_of(3.0), None, plan_of(2.0), plan_of(4.0), plan_of(1.0)])
-    scored = planner.grasps("can_1").grasps[0]
+    scored = planner.scene.grasps("can_1").grasps[0]
     still = np.zeros((1, 7))
     picks = [Pick(replace(scored, score=score), still, still) for score in scores]
     monkeypatch.setattr(planner, "_picks", lambda *_: iter(picks))
@@ -129,8 +126,8 @@ def test_the_shortest_plan_of_grasps_that_are_as_good_is_returned(
 def test_similar_grasps_are_not_tried_again(kinematics, items):
     config = PickPlaceConfig(grasp=GraspConfig(n_azimuths=24, top_depths=(0.02, 0.022, 0.03)))
     planner = PickPlacePlanner(kinematics, items, config=config)
-    first = planner.grasps("can_1").grasps[0]
-    for pick, _ in zip(planner._picks("can_1", planner.grasps("can_1"), [first], Tally()), range(4)):
+    first = planner.scene.grasps("can_1").grasps[0]
+    for pick, _ in zip(planner._picks("can_1", planner.scene.grasps("can_1"), [first], Tally()), range(4)):
         turn = np.abs(np.angle(np.exp(1j * (pick.grasp.azimuth - first.azimuth))))
         assert turn >= np.deg2rad(20) or abs(pick.grasp.depth - first.depth) >= 0.003
 
@@ -144,17 +141,19 @@ def test_a_grasp_is_examined_once_as_long_as_nothing_moves(kinematics, items, mo
         return find_pick(motions, name, grasp, config)
 
     monkeypatch.setattr(pick_place, "find_pick", find)
-    T, grasps = planner.world.pose("can_1"), planner.grasps("can_1")
+    T, grasps = planner.scene.pose("can_1"), planner.scene.grasps("can_1")
 
     def picks():
         examined.clear()
         tally = Tally()
         found = []
         for pick in planner._picks("can_1", grasps, (), tally):
-            assert planner.world.contact(pick.lift[-1], pick.grasp.held_width) is None
-            assert planner.world.carried_overlaps(pick.lift[0], pick.grasp.held_width), "it is in the hand"
+            assert planner.scene.world.contact(pick.lift[-1], pick.grasp.held_width) is None
+            assert planner.scene.world.carried_overlaps(pick.lift[0], pick.grasp.held_width), (
+                "it is in the hand"
+            )
             found.append(pick)
-        planner.world.release()
+        planner.scene.world.release()
         return found, tally
 
     first, tally = picks()
@@ -165,12 +164,12 @@ def test_a_grasp_is_examined_once_as_long_as_nothing_moves(kinematics, items, mo
     T_far = T.copy()
     T_far[0, 3] += 1.0
     assert not planner.can_pick("can_1", T_far) and len(examined) == len(grasps.grasps)
-    with planner.without(["bowl_2"]):
+    with planner.scene.without(["bowl_2"]):
         picks()
         assert len(examined) == len(grasps.grasps), "without something there may be more"
     picks()
     assert not examined
-    planner.moved("can_1", T)
+    planner.scene.moved("can_1", T)
     picks()
     assert len(examined) == len(grasps.grasps)
 
@@ -206,120 +205,28 @@ def test_a_standing_object_is_grasped_at_an_angle_on_request(kinematics, items, 
     placement = Placement("can_1", (0.5, 0.25, 0.0), (0.0,))
     q = np.array(arm.q_home)
     assert planner.plan(placement, q).grasp.kind == "top"
-    assert planner.plan(placement, q, grasps=planner.tilted_grasps(placement.name)).grasp.kind == "antipodal"
-    assert planner.tilted_grasps("can_1") is planner.tilted_grasps("can_1")
-
-
-def test_a_lying_object_has_grasps_across_its_axis_until_it_stands_again(kinematics, items):
-    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
-    standing = planner.world.pose("can_1")
-    lying = standing.copy()
-    lying[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
-    planner.moved("can_1", lying)
-    grasps = planner.grasps("can_1")
-    kinds = [grasp.kind for grasp in grasps.grasps]
-    assert kinds[0] == "waist" and set(kinds) == {"waist", "antipodal"}, "horizontal hands first"
-    assert planner.grasps("can_1") is grasps
-    planner.moved("can_1", standing)
-    assert {grasp.kind for grasp in planner.grasps("can_1").grasps} == {"top"}
-
-
-def test_the_hand_is_above_the_table_where_it_takes_a_leaning_object_and_where_it_sets_it_upright(
-    kinematics, items
-):
-    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
-    leaning = planner.world.pose("can_1").copy()
-    leaning[:3, :3] = Rotation.from_euler("x", 25, degrees=True).as_matrix()
-    planner.moved("can_1", leaning)
-    grasps = planner.keeping_grasps("can_1").grasps
-    assert grasps
-    for grasp in grasps:
-        approach = grasp.T_stand_tcp[:3, 2]
-        assert (leaning[:3, :3] @ approach)[2] < 0 and approach[2] < 0
-
-
-def test_an_object_on_its_side_is_moved_as_it_lies_with_grasps_across_its_axis(kinematics, items):
-    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
-    lying = planner.world.pose("can_1").copy()
-    lying[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
-    planner.moved("can_1", lying)
-    kept, turning = planner.keeping_grasps("can_1").grasps, planner.grasps("can_1").grasps
-    assert kept[0].kind == "waist"
-    across = [sum(grasp.kind == "waist" for grasp in grasps) for grasps in (kept, turning)]
-    assert across[0] > across[1], "also near its base"
-
-
-def test_forgotten_objects_are_no_obstacles(kinematics, items):
-    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
-    q = posture(kinematics, 0.5, -0.25, 0.06)
-    assert planner.world.contact(q, 0.08) is not None
-    planner.forget("can_1")
-    assert planner.world.contact(q, 0.08) is None
-    planner.moved("can_1", planner.world.pose("can_1"))
-    assert planner.world.contact(q, 0.08) is not None, "found again"
+    assert (
+        planner.plan(placement, q, grasps=planner.scene.tilted_grasps(placement.name)).grasp.kind
+        == "antipodal"
+    )
+    assert planner.scene.tilted_grasps("can_1") is planner.scene.tilted_grasps("can_1")
 
 
 @pytest.mark.parametrize(("x", "expected"), [(0.5, False), (0.3, True)])
 def test_whether_a_place_stays_free_behind_another_object(kinematics, items, x, expected):
     planner = PickPlacePlanner(kinematics, items, (TABLE,), CONFIG)
-    start = planner.world.pose("bowl_2")
+    start = planner.scene.pose("bowl_2")
     assert planner.can_place_after(GOAL, [Placement("bowl_2", (x, 0.25, 0.0), (0.0,))]) is expected
-    assert planner.world.pose("bowl_2") == pytest.approx(start)
-    assert planner.world.pose("can_1") == pytest.approx(items["can_1"].T_world_stand)
+    assert planner.scene.pose("bowl_2") == pytest.approx(start)
+    assert planner.scene.pose("can_1") == pytest.approx(items["can_1"].T_world_stand)
 
 
 def test_a_forgotten_object_stays_forgotten_when_its_place_is_examined(kinematics, items):
     planner = PickPlacePlanner(kinematics, items, (TABLE,), CONFIG)
     over_can = posture(kinematics, 0.5, -0.25, 0.06)
-    planner.forget("can_1")
+    planner.scene.forget("can_1")
     assert planner.can_place_after(GOAL, [Placement("bowl_2", (0.5, 0.25, 0.0), (0.0,))])
-    assert planner.world.contact(over_can, 0.08) is None
-
-
-def test_what_is_planned_without_an_object_leaves_the_scene_as_it_was(kinematics, items):
-    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
-    planner.forget("bowl_2")
-    before, over_can = planner.scene_state, posture(kinematics, 0.5, -0.25, 0.06)
-    poses = planner.poses()
-    with planner.without(["bowl_2"]):
-        assert planner.scene_state == before, "nothing is gone, so that failures are reused"
-    with planner.without(["can_1", "bowl_2"]):
-        within = planner.scene_state
-        assert within != before and list(planner.poses()) == ["bowl_3"]
-        assert planner.world.contact(over_can, 0.08) is None
-    assert planner.scene_state == before and planner.forgotten == {"bowl_2"}
-    assert planner.poses().keys() == poses.keys()
-    assert planner.world.contact(over_can, 0.08) is not None
-    planner.moved("can_1", poses["can_1"])
-    assert planner.scene_state not in (before, within), "failures without an object are not reused"
-
-
-def test_what_is_planned_with_an_object_elsewhere_leaves_the_scene_as_it_was(kinematics, items):
-    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
-    before, T_before = planner.scene_state, planner.poses()["can_1"]
-    T = pose_from_yaw(0.0, np.array([0.5, 0.1, 0.0]))
-    over_can, over_other = posture(kinematics, 0.5, -0.25, 0.06), posture(kinematics, 0.5, 0.1, 0.06)
-    with planner.supposing("can_1", T):
-        assert planner.scene_state != before
-        np.testing.assert_array_equal(planner.poses()["can_1"], T)
-        assert planner.world.contact(over_can, 0.08) is None
-        assert planner.world.contact(over_other, 0.08) is not None
-    assert planner.scene_state == before
-    np.testing.assert_array_equal(planner.poses()["can_1"], T_before)
-    assert planner.world.contact(over_can, 0.08) is not None
-    assert planner.world.contact(over_other, 0.08) is None
-
-
-def test_new_obstacles_replace_the_perceived_ones_and_leave_the_objects(kinematics, items):
-    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
-    above, over_can = posture(kinematics, 0.5, 0.1, 0.1), posture(kinematics, 0.5, -0.25, 0.06)
-    planner.forget("can_1")
-    thing = PerceivedObstacle(1, (np.array([0.5, 0.1, 0.1]) + 0.04 * CORNERS,), 500)
-    planner.observe_obstacles([thing])
-    assert planner.world.contact(above, 0.08) is not None
-    assert planner.world.contact(over_can, 0.08) is None, "what was forgotten stays so"
-    planner.observe_obstacles([])
-    assert planner.world.contact(above, 0.08) is None
+    assert planner.scene.world.contact(over_can, 0.08) is None
 
 
 @pytest.mark.slow
@@ -332,10 +239,12 @@ def test_an_object_is_lifted_out_of_the_bowl_that_holds_it(kinematics, shapes, a
     inside = {item.name: item for item in map(to_standing, estimates)}
     planner = PickPlacePlanner(kinematics, inside, config=CONFIG)
     plan = planner.plan(GOAL, np.array(arm.q_home))
-    assert (planner.world.pose("can_1") @ plan.grasp.T_stand_tcp)[2, 3] < 0.06
+    assert (planner.scene.pose("can_1") @ plan.grasp.T_stand_tcp)[2, 3] < 0.06
 
 
-def test_known_grasps_are_used(kinematics, items):
-    known = PickPlacePlanner(kinematics, items, config=CONFIG).grasps("can_1")
-    planner = PickPlacePlanner(kinematics, items, config=CONFIG, grasps={"can_1": known})
-    assert planner.grasps("can_1") is known
+def test_motions_are_checked_among_the_obstacles_that_were_seen_last(kinematics, items):
+    planner = PickPlacePlanner(kinematics, items, config=CONFIG)
+    before = planner.motions
+    planner.scene.observe_obstacles([])
+    assert planner.motions is not before and planner.motions.world is planner.scene.world
+    assert planner.motions is planner.motions

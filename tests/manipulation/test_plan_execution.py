@@ -55,7 +55,7 @@ def test_the_steps_of_a_plan(cell, plan):
     assert phases == ["approach", "grasp", "transfer", "place", "retreat"]
     assert robot.motions == [plan.transit, plan.approach, plan.lift, plan.transfer, plan.retreat]
     assert robot.widths[:2] == [plan.grasp.opening, 0.0]
-    np.testing.assert_array_equal(planner.world.pose("can_1"), plan.T_world_stand_rest)
+    np.testing.assert_array_equal(planner.scene.pose("can_1"), plan.T_world_stand_rest)
 
 
 def test_nothing_is_touched_where_the_scene_has_changed(cell, plan, item):
@@ -63,7 +63,7 @@ def test_nothing_is_touched_where_the_scene_has_changed(cell, plan, item):
     with pytest.raises(SceneChangedError, match="can_1 is not where it was seen before"):
         execution.run(plan)
     assert robot.motions == [plan.transit] and 0.0 not in robot.widths
-    np.testing.assert_array_equal(planner.world.pose("can_1"), item.T_world_stand)
+    np.testing.assert_array_equal(planner.scene.pose("can_1"), item.T_world_stand)
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def test_what_an_object_stood_in_is_put_back_with_it(shapes, arm, lifted):
     with pytest.raises(GraspFailedError, match="mug_2 was lifted with bowl_1"):
         execution.run(plan, looks_first=False)
     assert robot.q == pytest.approx(plan.lift.positions[0]), "where it was grasped"
-    np.testing.assert_array_equal(planner.world.pose("bowl_1"), raised)
+    np.testing.assert_array_equal(planner.scene.pose("bowl_1"), raised)
 
 
 @pytest.mark.parametrize(
@@ -221,7 +221,7 @@ def test_an_object_seen_beside_its_goal(cell, plan, misplaced, beyond, raises):
             execution.run(plan)
     else:
         execution.run(plan)
-    np.testing.assert_array_equal(planner.world.pose("can_1"), seen)
+    np.testing.assert_array_equal(planner.scene.pose("can_1"), seen)
 
 
 @pytest.mark.parametrize(
@@ -231,10 +231,10 @@ def test_a_mug_that_was_turned_when_it_was_released(cell, plan, category, turn, 
     """Handles are aligned; the yaw of a can is unknown."""
     seen = plan.T_world_stand_rest @ pose_from_yaw(turn, np.zeros(3))
     _, planner, _, execution = cell("in_place", "displaced", can_1=[Finding("found", seen)])
-    planner.items["can_1"] = replace(planner.items["can_1"], category=category)
+    planner.scene.items["can_1"] = replace(planner.scene.items["can_1"], category=category)
     if raises:
         with pytest.raises(GraspFailedError, match="can_1 was turned when it was released"):
             execution.run(plan)
     else:
         execution.run(plan)
-    np.testing.assert_array_equal(planner.world.pose("can_1"), seen)
+    np.testing.assert_array_equal(planner.scene.pose("can_1"), seen)

@@ -27,7 +27,7 @@ def planner_of(item, arm, *obstacles):
 def carried(item, arm):
     """Grasp, path and lowering of a transfer over the table to (0.5, 0.2) m."""
     planner = planner_of(item, arm)
-    kinematics, grasp = planner.kinematics, planner.grasps(item.name).grasps[0]
+    kinematics, grasp = planner.kinematics, planner.scene.grasps(item.name).grasps[0]
     T = item.T_world_stand.copy()
     T[2, 3] = 0.3
     start = kinematics.inverse(T @ grasp.T_stand_tcp, [arm.q_home]).q
@@ -47,7 +47,7 @@ def test_a_carried_object_is_lowered_before_it_has_stopped(item, arm, carried):
     np.testing.assert_allclose(carry.positions[-1], path[-1])
     np.testing.assert_array_equal(carry.velocities[-1], 0.0)
     np.testing.assert_allclose(transfer.positions[[0, -1]], [path[0], down[-1]], atol=1e-9)
-    assert planner.world.contact(path[0], grasp.held_width) is None, "nothing is carried afterwards"
+    assert planner.scene.world.contact(path[0], grasp.held_width) is None, "nothing is carried afterwards"
     centre = 0.5 * (item.vertices.min(axis=0) + item.vertices.max(axis=0))
     in_hand = transform_points(invert(grasp.T_stand_tcp), centre[None])[0]
     assert inertial_torque(planner.kinematics, transfer, in_hand) <= 1.05 * MAX_TORQUE

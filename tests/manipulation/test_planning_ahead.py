@@ -13,7 +13,7 @@ from manipulation.obstacles import TABLE, box_obstacles
 from manipulation.packing_problem import PackingConfig
 from manipulation.pick_place import PickPlaceConfig, PickPlacePlanner
 from manipulation.planner import ManipulationConfig, plan_pack
-from manipulation.planning_ahead import PlanningAhead, Scene
+from manipulation.planning_ahead import PlanningAhead, Snapshot
 from manipulation.trajectories import MotionConfig
 from manipulation.types import Box
 from perception.obstacles.obstacle import PerceivedObstacle
@@ -61,7 +61,7 @@ def end(plan):
 def test_a_plan_made_ahead_is_the_one_that_would_be_made_afterwards(task, planner, ahead, present):
     following = task.placements[1]
     ahead.begin(present, following)
-    planner.moved(present.name, present.T_world_stand_rest)
+    planner.scene.moved(present.name, present.T_world_stand_rest)
     plan = ahead.take(following, end(present))
     assert plan is not None and plan.name == following.name
     again = planner.plan(following, end(present))
@@ -72,32 +72,32 @@ def test_a_plan_made_ahead_is_the_one_that_would_be_made_afterwards(task, planne
 
 
 def test_the_scene_itself_is_not_changed_by_planning_ahead(task, planner, ahead, present):
-    before = Scene.of(planner)
+    before = Snapshot.of(planner.scene)
     ahead.begin(present, task.placements[1])
-    assert Scene.of(planner).is_same(before)
+    assert Snapshot.of(planner.scene).is_same(before)
     assert not before.after(present).is_same(before)
 
 
 def elsewhere(task, planner, present, q):
-    planner.moved(present.name, present.T_world_stand_rest @ np.diag([-1.0, -1.0, 1.0, 1.0]))
+    planner.scene.moved(present.name, present.T_world_stand_rest @ np.diag([-1.0, -1.0, 1.0, 1.0]))
     return task.placements[1], q
 
 
 def another_moved(task, planner, present, q):
-    T = planner.world.pose(task.placements[1].name)
+    T = planner.scene.pose(task.placements[1].name)
     T[0, 3] += 1e-3
-    planner.moved(task.placements[1].name, T)
+    planner.scene.moved(task.placements[1].name, T)
     return task.placements[1], q
 
 
 def forgotten(task, planner, present, q):
-    planner.forget(task.placements[1].name)
+    planner.scene.forget(task.placements[1].name)
     return task.placements[1], q
 
 
 def new_obstacle(task, planner, present, q):
     corners = np.array(list(itertools.product((0.70, 0.72), (-0.40, -0.38), (0.0, 0.02))))
-    planner.observe_obstacles([PerceivedObstacle(0, (corners,), 100)])
+    planner.scene.observe_obstacles([PerceivedObstacle(0, (corners,), 100)])
     return task.placements[1], q
 
 
@@ -115,14 +115,14 @@ def another_goal(task, planner, present, q):
 )
 def test_a_plan_is_dropped_where_something_else_happened(task, planner, ahead, present, change):
     ahead.begin(present, task.placements[1])
-    planner.moved(present.name, present.T_world_stand_rest)
+    planner.scene.moved(present.name, present.T_world_stand_rest)
     placement, q = change(task, planner, present, end(present).copy())
     assert ahead.take(placement, q) is None
 
 
 def test_a_measured_posture_near_the_planned_one_will_do(task, planner, ahead, present):
     ahead.begin(present, task.placements[1])
-    planner.moved(present.name, present.T_world_stand_rest)
+    planner.scene.moved(present.name, present.T_world_stand_rest)
     assert ahead.take(task.placements[1], end(present) + 0.005) is not None
 
 
@@ -130,7 +130,7 @@ def test_that_there_is_no_plan_is_known_ahead_as_well(task, planner, ahead, pres
     x, y, z = task.placements[1].position
     far = replace(task.placements[1], position=(x + 3.0, y, z))
     ahead.begin(present, far)
-    planner.moved(present.name, present.T_world_stand_rest)
+    planner.scene.moved(present.name, present.T_world_stand_rest)
     with pytest.raises(NoPlanError, match="out of reach"):
         ahead.take(far, end(present))
 
@@ -138,7 +138,7 @@ def test_that_there_is_no_plan_is_known_ahead_as_well(task, planner, ahead, pres
 def test_nothing_is_planned_where_nothing_follows(task, planner, ahead, present):
     ahead.begin(present, task.placements[1])
     ahead.begin(present, None)
-    planner.moved(present.name, present.T_world_stand_rest)
+    planner.scene.moved(present.name, present.T_world_stand_rest)
     assert ahead.take(task.placements[1], end(present)) is None
 
 
@@ -146,9 +146,9 @@ def test_forgotten_objects_are_not_in_the_way_of_a_plan_made_ahead(task, arm, pl
     """A can of unknown pose stands at the goal as far as the planner knows its last pose."""
     first, second = task.placements
     blocking = planner.resting_pose(second, 0.0)
-    planner.moved(first.name, blocking)
-    planner.forget(first.name)
+    planner.scene.moved(first.name, blocking)
+    planner.scene.forget(first.name)
     with PlanningAhead(task, planner, CONFIG) as ahead:
-        carried = replace(present, name=second.name, T_world_stand_rest=planner.world.pose(second.name))
+        carried = replace(present, name=second.name, T_world_stand_rest=planner.scene.pose(second.name))
         ahead.begin(carried, second)
         assert ahead.take(second, end(present)) is not None

@@ -114,7 +114,7 @@ def test_the_closed_hand_goes_down_to_the_height_at_rest(bowl, arm):
         Kinematics(arm), {"bowl_1": bowl}, (TABLE, *box_obstacles(Box())), CONFIG.pick_place
     )
     T = leaning(*Box().center)
-    planner.moved("bowl_1", levelled(T, 0.012))
+    planner.scene.moved("bowl_1", levelled(T, 0.012))
     rest = pose_from_yaw(0.0, np.array([*Box().center, 0.012]))
     press = plan_press(planner.motions, bowl, T, rest, arm.q_home, frozenset({"bowl_1"}))
     assert press is not None and press.draw is None
@@ -137,7 +137,7 @@ def test_a_point_that_is_pressed_is_drawn_to_the_middle(bowl, arm, aside):
     )
     T, towards = leaning(*Box().center), 0.7
     uphill = -np.array([np.cos(towards), np.sin(towards)])
-    planner.moved("bowl_1", levelled(T, 0.012))
+    planner.scene.moved("bowl_1", levelled(T, 0.012))
     rest = pose_from_yaw(0.0, np.array([*(np.array(Box().center) - aside * uphill), 0.012]))
     press = plan_press(planner.motions, bowl, T, rest, arm.q_home, frozenset({"bowl_1"}), draws=True)
     assert press is not None and press.draw is not None
@@ -153,7 +153,7 @@ def test_there_is_no_press_where_the_hand_cannot_go(bowl, arm):
     touched = frozenset({"bowl_1"})
     rest = pose_from_yaw(0.0, np.array([0.5, 0.2, 0.0]))
     assert plan_press(planner.motions, bowl, leaning(1.3, 0.2), rest, arm.q_home, touched) is None
-    planner.moved("bowl_1", levelled(leaning(0.5, 0.2), 0.0))
+    planner.scene.moved("bowl_1", levelled(leaning(0.5, 0.2), 0.0))
     assert plan_press(planner.motions, bowl, leaning(0.5, 0.2), rest, arm.q_home, frozenset()) is None, (
         "nothing may be touched"
     )

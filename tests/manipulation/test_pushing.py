@@ -43,7 +43,7 @@ def make_planner(can, arm):
         if lying:  # base at the near end of the axis
             T[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
             T[:3, 3] = AT[0] - HEIGHT / 2, AT[1], RADIUS
-        planner.moved(can.name, T)
+        planner.scene.moved(can.name, T)
         return planner, T
 
     return make
@@ -71,7 +71,11 @@ def test_the_motions_follow_one_another_and_meet_the_object_alone(make_planner, 
     motions = (push.transit, push.approach, push.push, push.retreat)
     for before, after in itertools.pairwise(motions):
         np.testing.assert_allclose(before.positions[-1], after.positions[0], atol=1e-6)
-    world, kinematics, touch = planner.world, planner.kinematics, AllowedContacts(touch=frozenset({can.name}))
+    world, kinematics, touch = (
+        planner.scene.world,
+        planner.kinematics,
+        AllowedContacts(touch=frozenset({can.name})),
+    )
     for motion in (push.transit, push.approach):
         assert world.path_contact(motion.positions, 0.0) is None
     assert world.path_contact(push.push.positions, 0.0, touch) is None
@@ -137,5 +141,5 @@ def test_only_what_cannot_roll_is_pushed_across_its_axis(make_planner, can, arm,
 def test_the_object_is_where_it_was_in_the_planners_world(make_planner, can, arm) -> None:
     planner, T = make_planner(blocks=beside())
     push_of(planner, can, arm, lambda T_after: planner.can_pick(can.name, T_after))
-    np.testing.assert_array_equal(planner.world.pose(can.name), T)
-    assert planner.world.contact(np.array(arm.q_home), 0.0) is None
+    np.testing.assert_array_equal(planner.scene.pose(can.name), T)
+    assert planner.scene.world.contact(np.array(arm.q_home), 0.0) is None

@@ -64,7 +64,7 @@ def test_a_bowl_that_leans_in_another_is_pressed_level_or_placed_again(nested, a
         T = plan.T_world_stand_rest.copy()
         T[:2, 3] += 0.005
         T[:3, :3] = Rotation.from_euler("x", angle).as_matrix() @ T[:3, :3]
-        lower = planner.world.pose("bowl_1").copy()
+        lower = planner.scene.pose("bowl_1").copy()
         lower[0, 3] = Box().center[0] + 0.004
         observer.closer.append({"bowl_2": T, "bowl_1": lower})
     execution, messages = watched(robot, planner, observer)
@@ -74,10 +74,10 @@ def test_a_bowl_that_leans_in_another_is_pressed_level_or_placed_again(nested, a
     assert observer.looked_at == [("bowl_2", "bowl_1")] * (presses + 1)
     assert messages.count("leans and is pressed level") == presses
     if leans:
-        np.testing.assert_array_equal(planner.world.pose("bowl_2"), T)
+        np.testing.assert_array_equal(planner.scene.pose("bowl_2"), T)
         return
     # Both bowls are where they were seen, without the tilt and at their heights.
-    upper, lower = planner.world.pose("bowl_2"), planner.world.pose("bowl_1")
+    upper, lower = planner.scene.pose("bowl_2"), planner.scene.pose("bowl_1")
     assert upper[:3, 3] == pytest.approx(plan.T_world_stand_rest[:3, 3] + (0.005, 0.005, 0.0))
     assert upper[2, 2] == pytest.approx(1.0) and lower[0, 3] == pytest.approx(Box().center[0] + 0.004)
 
@@ -106,10 +106,10 @@ def test_a_bowl_that_went_deeper_than_planned_is_pressed_down_to_there(nested, a
         T[:3, :3] = Rotation.from_euler("x", angle).as_matrix() @ T[:3, :3]
         observer.closer.append({"bowl_2": T})
     PlanExecution(robot, planner, observer, CONFIG, lambda *args, **options: None).run(plan)
-    height = planner.items["bowl_2"].top + plan.T_world_stand_rest[2, 3] - deeper
+    height = planner.scene.items["bowl_2"].top + plan.T_world_stand_rest[2, 3] - deeper
     lowest = min(planner.kinematics.forward(m.positions[-1])[2, 3] for m in robot.motions[-2:])
     assert lowest - robot.arm.gripper.tip == pytest.approx(height, abs=0.004)
-    assert planner.world.pose("bowl_2")[2, 3] == pytest.approx(plan.T_world_stand_rest[2, 3] - deeper)
+    assert planner.scene.pose("bowl_2")[2, 3] == pytest.approx(plan.T_world_stand_rest[2, 3] - deeper)
 
 
 def test_what_is_seen_higher_than_a_bowl_can_lean_is_level(nested, arm):
@@ -119,11 +119,11 @@ def test_what_is_seen_higher_than_a_bowl_can_lean_is_level(nested, arm):
     T = plan.T_world_stand_rest.copy()
     T[2, 3] += 0.02
     T[:3, :3] = Rotation.from_euler("x", 0.12).as_matrix() @ T[:3, :3]
-    observer.closer = [{"bowl_2": T, "bowl_1": planner.world.pose("bowl_1")}]
+    observer.closer = [{"bowl_2": T, "bowl_1": planner.scene.pose("bowl_1")}]
     execution, messages = watched(robot, planner, observer)
     execution.run(plan)
     assert observer.looked_at == [("bowl_2", "bowl_1")] and "leans and is pressed level" not in messages
-    assert planner.world.pose("bowl_2")[2, 3] == pytest.approx(plan.T_world_stand_rest[2, 3])
+    assert planner.scene.pose("bowl_2")[2, 3] == pytest.approx(plan.T_world_stand_rest[2, 3])
 
 
 @pytest.mark.parametrize(
@@ -145,12 +145,12 @@ def test_in_a_stack_of_three_the_lower_one_that_leans_is_pressed_first(shapes, a
     obstacles = (TABLE, *box_obstacles(Box()))
     planner = PickPlacePlanner(Kinematics(arm), {b.name: b for b in bowls}, obstacles, CONFIG.pick_place)
     for bowl, lift in zip(bowls, nest_heights(bowls[:2]), strict=False):
-        planner.moved(bowl.name, pose_from_yaw(0.0, np.array([*Box().center, lift])))
+        planner.scene.moved(bowl.name, pose_from_yaw(0.0, np.array([*Box().center, lift])))
     goal = Placement("bowl_3", (*Box().center, 0.0), (0.0,), ("bowl_1", "bowl_2"), 0.03)
     plan = planner.plan(goal, arm.q_home)
     observer, messages = FakeObserver(), []
     for upper, middle in looks:
-        tilted = {"bowl_3": plan.T_world_stand_rest.copy(), "bowl_2": planner.world.pose("bowl_2").copy()}
+        tilted = {"bowl_3": plan.T_world_stand_rest.copy(), "bowl_2": planner.scene.pose("bowl_2").copy()}
         for name, angle in (("bowl_3", upper), ("bowl_2", middle)):
             tilted[name][:3, :3] = Rotation.from_euler("x", angle).as_matrix() @ tilted[name][:3, :3]
         observer.closer.append(tilted)

@@ -78,7 +78,9 @@ def test_where_the_way_back_is_blocked_another_one_is_planned(item, arm, plan):
         execution.run(plan)
     assert robot.q == pytest.approx(plan.lift.positions[0]), "where it was grasped"
     assert len(robot.motions) == 7 and robot.widths == [plan.grasp.opening, 0.0]
-    assert planner.world.contact(plan.lift.positions[-1], plan.grasp.held_width) is None, "nothing is carried"
+    assert planner.scene.world.contact(plan.lift.positions[-1], plan.grasp.held_width) is None, (
+        "nothing is carried"
+    )
 
 
 def blocked_beside(item, beside, arm, plan, share=0.9, observer=None):
@@ -98,7 +100,7 @@ def blocked_beside(item, beside, arm, plan, share=0.9, observer=None):
 def test_among_others_it_is_set_down_where_there_is_room(item, beside, arm, plan, share):
     """It may have turned in the hand, and would knock over what it stood beside."""
     robot, planner = blocked_beside(item, beside, arm, plan, share)
-    T = planner.world.pose("can_1")
+    T = planner.scene.pose("can_1")
     reach = np.linalg.norm(item.vertices - plan.grasp.T_stand_tcp[:3, 3], axis=1).max()
     clear = (
         np.linalg.norm(T[:2, 3] - beside.T_world_stand[:2, 3])
@@ -107,7 +109,7 @@ def test_among_others_it_is_set_down_where_there_is_room(item, beside, arm, plan
     assert clear > 1.3 * reach - 0.005
     assert T[2, 3] == pytest.approx(0.01, abs=1e-3) and T[2, 2] == pytest.approx(1.0)
     np.testing.assert_allclose(Kinematics(arm).forward(robot.q), T @ plan.grasp.T_stand_tcp, atol=2e-3)
-    assert planner.world.contact(robot.motions[-1].positions[0], plan.grasp.held_width) is None, (
+    assert planner.scene.world.contact(robot.motions[-1].positions[0], plan.grasp.held_width) is None, (
         "nothing is carried"
     )
 
@@ -119,7 +121,7 @@ def test_what_stood_on_another_object_is_lowered_to_the_table(item, shapes, arm)
     both = PickPlacePlanner(Kinematics(arm), {"can_1": above, "can_2": below}, config=CONFIG.pick_place)
     plan = both.plan(Placement("can_1", (0.5, 0.1, 0.0), (0.0,)), arm.q_home)
     _, planner = blocked_beside(above, below, arm, plan, observer=NoObserver())
-    T = planner.world.pose("can_1")
+    T = planner.scene.pose("can_1")
     assert np.linalg.norm((T - above.T_world_stand)[:2, 3]) > 0.05
     assert T[2, 3] == pytest.approx(0.01, abs=1e-3), "lower than before by the height of the other one"
 
@@ -143,4 +145,4 @@ def test_what_touches_the_table_early_is_left_there(item, beside, arm, plan):
     with pytest.raises(RobotError, match="blocked"):
         execution.run(plan)
     assert len(robot.motions) == 6, "no further way is tried"
-    assert np.linalg.norm((planner.world.pose("can_1") - item.T_world_stand)[:2, 3]) > 0.05
+    assert np.linalg.norm((planner.scene.pose("can_1") - item.T_world_stand)[:2, 3]) > 0.05

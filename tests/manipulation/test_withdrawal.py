@@ -23,8 +23,8 @@ def planner(shapes, arm):
 def among(planner, arm):
     """The robot with its fingers on the can."""
     robot = FakeRobot(arm)
-    grasp = planner.grasps("can_1").grasps[0]
-    T = planner.world.pose("can_1") @ grasp.T_stand_tcp
+    grasp = planner.scene.grasps("can_1").grasps[0]
+    T = planner.scene.pose("can_1") @ grasp.T_stand_tcp
     result = planner.kinematics.inverse(T, planner.kinematics.seeds_toward(T))
     assert result.converged
     robot.q, robot.width = result.q, grasp.held_width
@@ -36,7 +36,7 @@ def height(planner, robot) -> float:
 
 
 def test_a_hand_among_objects_is_near_them_until_it_has_left(planner, among):
-    world = planner.world
+    world = planner.scene.world
     assert world.touched(among.q, among.width) == {"can_1"}
     line = way_out(planner.motions, among.q, among.width)
     assert line is not None and world.contact(line[-1], among.width) is None
@@ -80,18 +80,18 @@ def test_the_camera_is_not_moved_where_the_hand_cannot_rise(planner, among, monk
     observer = WithdrawingObserver(seen, Withdrawal(among, planner))
     monkeypatch.setattr(planner.motions, "free_line", lambda *_: Rejected("collide with thing_1"))
     monkeypatch.setattr(planner.motions, "free_path", lambda *_: None)
-    assert observer.find("can_1", planner.poses()).status == "unseen"
-    assert observer.look_closer(("can_1",), planner.poses()) == {}
-    assert observer.find_obstacles(planner.poses()) is None and not among.motions
-    assert observer.glance(planner.poses(), ("can_1",)) == {"can_1": "in_place"}, "needs no motion"
+    assert observer.find("can_1", planner.scene.poses()).status == "unseen"
+    assert observer.look_closer(("can_1",), planner.scene.poses()) == {}
+    assert observer.find_obstacles(planner.scene.poses()) is None and not among.motions
+    assert observer.glance(planner.scene.poses(), ("can_1",)) == {"can_1": "in_place"}, "needs no motion"
     seen.unknown = np.eye(3)
     np.testing.assert_array_equal(
-        observer.unexpected(planner.poses(), (), lambda points: points[:, 0] > 0.5), np.eye(3)[:1]
+        observer.unexpected(planner.scene.poses(), (), lambda points: points[:, 0] > 0.5), np.eye(3)[:1]
     )
     monkeypatch.undo()
-    assert observer.find("can_1", planner.poses()).status == "missing"
-    assert list(observer.look_closer(("can_1",), planner.poses())) == ["can_1"]
-    assert observer.find_obstacles(planner.poses()) == ()
+    assert observer.find("can_1", planner.scene.poses()).status == "missing"
+    assert list(observer.look_closer(("can_1",), planner.scene.poses())) == ["can_1"]
+    assert observer.find_obstacles(planner.scene.poses()) == ()
 
 
 def test_a_blocked_withdrawal_is_no_error(planner, among):

@@ -5,6 +5,7 @@ import pytest
 from app.benchmarks import growth_planning
 from app.benchmarks.growth_planning import planning_times
 from app.task.task_types import TaskResult
+from manipulation.planning_scene import PlanningScene
 from perception.pipeline import load_perception
 
 
@@ -17,9 +18,9 @@ def test_each_placed_object_has_a_time_and_blocks_the_next(networks, monkeypatch
     cans = [can_at(0, 0.45, -0.2), can_at(1, 0.45, -0.32), can_at(2, 1.6, -0.2)]  # the last one out of reach
     monkeypatch.setattr(growth_planning, "run_pipeline", lambda *args: TaskResult(objects=cans))
     moved = []
-    real = growth_planning.PickPlacePlanner.moved
+    real = PlanningScene.moved
     monkeypatch.setattr(
-        growth_planning.PickPlacePlanner,
+        PlanningScene,
         "moved",
         lambda self, name, T: (moved.append((name, round(float(T[1, 3]), 1))), real(self, name, T)),
     )
@@ -36,5 +37,5 @@ def test_an_object_without_a_plan_has_a_time_too(networks, monkeypatch, can_at):
         raise growth_planning.NoPlanError("no plan", ())
 
     monkeypatch.setattr(growth_planning.PickPlacePlanner, "plan", fail)
-    monkeypatch.setattr(growth_planning.PickPlacePlanner, "moved", lambda *args: pytest.fail("moved"))
+    monkeypatch.setattr(PlanningScene, "moved", lambda *args: pytest.fail("moved"))
     assert len(planning_times(networks, 1, 0).objects) == 1

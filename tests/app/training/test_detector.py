@@ -7,22 +7,16 @@ import pytest
 
 import app.training.detector as train_detector
 from app.jobs import Workers
+from app.training import crop_cycles
+from app.training.crop_cycles import CalibratedNetwork
 from app.training.crop_dataset import LabelledCrops
-from app.training.detector import (
-    CalibratedNetwork,
-    CropSplits,
-    TrainDetectorConfig,
-    class_targets,
-    render_data_sets,
-    stage_progress,
-    train_cycles,
-)
+from app.training.detector import render_data_sets
+from app.training.detector_config import RENDERING_SHARE, TrainDetectorConfig
 from app.training.resources import Resources
 from app.training.scene_dataset import Shard
-from perception.detection.crop_network import create_member, create_network, load_crop_network
-from perception.detection.crop_training import CropSet, TrainingConfig, TrainingData
+from perception.detection.crop_network import create_network, load_crop_network
+from perception.detection.crop_training import TrainingConfig
 from perception.detection.scene_network import SceneNet, load_scene_network
-from perception.detection.tasks import ENSEMBLE_SIZE, OUTPUTS
 from perception.io.weights import weights_checksum
 
 TINY = TrainingConfig(epochs=1, batch=8)
@@ -93,7 +87,7 @@ def test_training_and_validation_are_of_the_training_families_and_test_of_the_te
         ("train", 7, 14, stacks), ("test", 3, 14, stacks),
     ]  # fmt: skip
     shares = np.cumsum([8, 4, 5, 3, 7, 3]) / 30
-    assert reported == pytest.approx(shares * train_detector.RENDERING_SHARE)
+    assert reported == pytest.approx(shares * RENDERING_SHARE)
     render_data_sets(replace(config, further=0, stacked=0), tmp_path, None)
     assert [split for split, *_ in calls[6:]] == ["train", "train", "test"]
 
@@ -113,33 +107,6 @@ def test_the_class_network_alone_learns_from_further_crops(tmp_path, monkeypatch
     ]
 
 
-def test_the_second_cycle_goes_on_from_the_first_on_images_with_stacks(tmp_path, monkeypatch):
-    calls, progress = [], []
-
-    def fit(task, data, config, job, processes):
-        calls.append((len(data.training), config, job, create_member(task).eval()))
-        job.progress(config.epochs, config.epochs, {})
-        return calls[-1][-1]
-
-    monkeypatch.setattr(train_detector, "fit_crop_network", fit)
-    crops = random_crops(0)
-    splits = CropSplits(crops, crops, crops, crops.subset(np.arange(10)))
-    config = TrainDetectorConfig(
-        training=replace(TINY, seed=5), second=TrainingConfig(epochs=2, learning_rate=1e-4)
-    )
-    trained = train_cycles(
-        "class", splits, class_targets, config, tmp_path, lambda _, share: progress.append(share)
-    )
-    (first, second), folders = calls, [job.directory for _, _, job, _ in calls]
-    assert (first[0], second[0]) == (20, 10) and folders == [tmp_path, tmp_path / "second"]
-    assert first[1] == config.training and second[1] == replace(config.second, seed=5)
-    assert first[2].start is None and second[2].start is first[3] and trained.network is second[3]
-    assert progress == [0.5, 1.0]  # as many crops in each cycle
-    calls.clear()
-    train_cycles("class", replace(splits, stacked=None), class_targets, config, tmp_path, None)
-    assert len(calls) == 1
-
-
 def test_resources_reach_rendering_and_both_networks(tmp_path, monkeypatch):
     used = {}
 
@@ -155,7 +122,7 @@ def test_resources_reach_rendering_and_both_networks(tmp_path, monkeypatch):
     monkeypatch.setattr(
         train_detector, "train_scene", lambda *arguments: used.update(scene=arguments[-1]) or SceneNet()
     )
-    monkeypatch.setattr(train_detector, "train_ensemble", train)
+    monkeypatch.setattr(crop_cycles, "train_ensemble", train)
     config = TrainDetectorConfig(training=TINY)
     train_detector.run(config, tmp_path, None, Resources(Workers(5), processes=3))
     assert used == {"workers": Workers(5), "scene": 3, "class": 3}
@@ -178,7 +145,7 @@ def test_sets_are_used_for_training_calibration_and_evaluation(tmp_path, monkeyp
         used["validation"] = len(data.validation)
         return CalibratedNetwork(create_network("class").eval(), 1.0)
 
-    monkeypatch.setattr(train_detector, "train_ensemble", train)
+    monkeypatch.setattr(crop_cycles, "train_ensemble", train)
     metrics = train_detector.run(TrainDetectorConfig(training=TINY), tmp_path)
     assert used == {"training": [20, 23], "validation": 21} and metrics["crops"] == 22
 
@@ -188,49 +155,3 @@ def test_the_scenes_of_the_scene_network_are_those_for_training(tmp_path, monkey
     monkeypatch.setattr(train_detector, "load_scenes", loaded.extend)
     train_detector.run(TrainDetectorConfig(training=TINY, second=TINY, pictures=5), tmp_path)
     assert [file.name for file in loaded] == ["scenes_train_seed0_n5_000.npz"]
-
-
-def test_members_of_an_ensemble_have_different_seeds_and_folders(tmp_path, monkeypatch):
-    calls = []
-
-    def train(task, data, config, job, processes):
-        calls.append((config.seed, job.directory, processes))
-        return create_member(task).eval()
-
-    monkeypatch.setattr(train_detector, "fit_crop_network", train)
-    monkeypatch.setitem(ENSEMBLE_SIZE, "class", 2)
-    crops = train_detector.class_targets(random_crops(0))
-    data = train_detector.TrainingData(crops, crops)
-    config = TrainDetectorConfig(training=TrainingConfig(seed=3))
-    train_detector.train_ensemble("class", data, config, tmp_path, None, 2)
-    assert calls == [(3, tmp_path, 2), (4, tmp_path / "member1", 2)]
-
-
-def test_progress_of_a_stage_is_mapped_to_its_share_of_the_job():
-    reported = []
-    stage = stage_progress(lambda what, share: reported.append((what, share)), 0.2, 0.6)
-    stage("a", 0.0)
-    stage("b", 0.5)
-    stage("c", 1.0)
-    assert reported == [("a", 0.2), ("b", pytest.approx(0.4)), ("c", pytest.approx(0.6))]
-    stage_progress(None, 0.0, 1.0)("without a callback", 0.5)
-
-
-def test_the_scene_network_has_its_share_of_the_epochs_but_at_least_one():
-    assert TrainDetectorConfig().scene_epochs == 10
-    assert TrainDetectorConfig(training=TrainingConfig(epochs=1)).scene_epochs == 1
-
-
-def test_only_networks_of_classes_are_freed_from_frequencies(tmp_path, monkeypatch):
-    freed = []
-    monkeypatch.setattr(
-        train_detector, "equalise_priors", lambda network, targets: freed.append(len(targets))
-    )
-    monkeypatch.setattr(train_detector, "fit_crop_network", lambda task, *_: create_member(task).eval())
-    for task in ("class", "yaw"):
-        targets = np.eye(OUTPUTS[task], dtype=np.float32)[np.zeros(4, int)]
-        crops = CropSet(np.zeros((4, 64, 64, 6), np.uint8), np.zeros((4, 2), np.float32), targets)
-        train_detector.train_ensemble(
-            task, TrainingData(crops, crops), TrainDetectorConfig(training=TINY), tmp_path, None
-        )
-    assert freed == [4]
