@@ -25,6 +25,7 @@ OTHER = len(CATEGORIES)  # index of 'other' (distractors) in class probabilities
 GRID_RESOLUTION = 32
 CODE_SIZE = 16
 _DIRECTIONS = 36  # in which the width of a bowl is measured
+_TIP = 6e-5  # [m^2] section up to which the end of a mesh is a tip
 
 FitStatus = Literal["converged", "not_converged", "implausible"]
 FIT_STATUSES: tuple[FitStatus, ...] = get_args(FitStatus)
@@ -274,9 +275,22 @@ class ObjectEstimate:
     def size(self) -> float:
         """Diagonal of the upright profile in [m]: the size by which objects are sorted.
 
-        Bowls may be polygons, whose direction the estimate does not have: their largest width counts.
+        Bowls may be polygons, whose direction the estimate does not have: their largest width counts. The
+        mesh of a narrow top ends in a tip, which does not count.
         """
-        return profile_size(self.height, self._widest() if self.category == "bowl" else self.radius)
+        height = self._height_below_tip() if self.category == "bottle" else self.height
+        return profile_size(height, self._widest() if self.category == "bowl" else self.radius)
+
+    def _height_below_tip(self) -> float:
+        """Return the height [m] above which faces that look up have a projected area of ``_TIP``."""
+        corners = self.mesh.vertices[self.mesh.faces]
+        area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] / 2
+        middle = corners[area > 0, :, 2].mean(axis=1)
+        highest = np.argsort(-middle)
+        below = np.cumsum(area[area > 0][highest]) > _TIP
+        if not below.any():
+            return self.height
+        return float(middle[highest][below][0] - self.mesh.vertices[:, 2].min())
 
     def _widest(self) -> float:
         """Return half the largest horizontal extent in any direction in [m]."""

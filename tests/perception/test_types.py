@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from perception.errors import InvalidInputError
 from perception.types import (
@@ -105,6 +106,22 @@ def test_the_size_of_a_polygonal_bowl_is_that_across_its_corners(turn):
     bowl = ObjectEstimate(1, "bowl", np.zeros(16), np.eye(4), np.ones(3), mesh)
     assert bowl.size == pytest.approx(np.hypot(0.06, 0.14), rel=1e-3)
     assert replace(bowl, category="can").size <= bowl.size + 1e-12
+
+
+def test_the_tip_of_a_bottle_does_not_count():
+    """A cylinder with a cone on it: what is above the section of 60 square millimetres is left out."""
+    radius, shoulder, tip = 0.02, 0.1, 0.02
+    cone = [(radius * (1 - u), shoulder + tip * u) for u in np.linspace(0, 1, 41)]
+    profile = [(0.0, 0.0), (radius, 0.0), *cone]
+    solid = trimesh.creation.revolve(profile, sections=64)
+    mesh = TriangleMesh(np.array(solid.vertices), np.array(solid.faces))
+    bottle = ObjectEstimate(1, "bottle", np.zeros(16), np.eye(4), np.ones(3), mesh)
+    height = shoulder + tip * (1 - np.sqrt(6e-5 / np.pi) / radius)
+    assert bottle.size == pytest.approx(np.hypot(height, 2 * radius), abs=4e-4)
+    assert bottle.height == pytest.approx(shoulder + tip)
+    assert replace(bottle, category="can").size == pytest.approx(
+        np.hypot(shoulder + tip, 2 * radius), abs=1e-4
+    )
 
 
 def test_an_unclassified_mask_is_told_from_a_classified_one() -> None:
