@@ -30,6 +30,9 @@ SURE_SCORE, THICK, THICK_SHARE = 0.8, 0.03, 0.35
 # Of a mug in a bowl that looks like a mug: least score of the fit of the bowl, by how much that of the mug is
 # higher than that of both as one mug, ratio of the radii, and height [m] of the mug's base.
 SHALLOW_SCORE, MUCH_BETTER, BROADER, FLOOR = 0.7, 0.05, 1.05, 0.01
+# Least score of the fit of a bowl that is hardly broader, and share of unexplained points above which both
+# can explain more.
+NARROW_SCORE, MORE_THAN = 0.35, 0.01
 FULLY = 0.005  # share of unexplained points up to which a bottle explains all that is seen
 # Radius of the upper of two cans relative to the lower one where they meet, from which on they are no bottle.
 WIDER = 1.1
@@ -77,9 +80,11 @@ def are_two(
         return True
     if whole is None or is_doubtful(whole, before):
         return _is_better(pair, whole, points, before)
-    if unexplained(points, pair) >= DOUBTFUL or not all(is_vessel(e) for e in (*pair, whole)):
+    after = unexplained(points, pair)
+    if after >= DOUBTFUL or not all(is_vessel(e) for e in (*pair, whole)):
         return False
-    return _is_raised(pair, whole, plane) or _is_mug_in_bowl(pair, whole, plane)
+    explains_more = before > MORE_THAN and after < CLEARLY * before
+    return _is_raised(pair, whole, plane) or _is_mug_in_bowl(pair, whole, plane, explains_more)
 
 
 def is_vessel(estimate: ObjectEstimate) -> bool:
@@ -97,14 +102,18 @@ def _is_raised(pair: Sequence[ObjectEstimate], whole: ObjectEstimate, plane: Sup
     return min(e.score for e in (*pair, whole)) >= SURE_SCORE and bool(base > max(THICK, THICK_SHARE * top))
 
 
-def _is_mug_in_bowl(pair: Sequence[ObjectEstimate], whole: ObjectEstimate, plane: SupportPlane) -> bool:
+def _is_mug_in_bowl(
+    pair: Sequence[ObjectEstimate], whole: ObjectEstimate, plane: SupportPlane, explains_more: bool
+) -> bool:
     """Return whether a mug that explains what is measured is one in a shallow bowl, which is broader.
 
-    A mug of two colours is as likely as one.
+    A mug of two colours is as likely as one. Of a bowl that is hardly broader little is seen: its score may
+    be lower, and that of the mug as high as that of both as one, if they explain more than that does.
     """
     lower, upper = pair
     base = float(plane.height_above(upper.mesh_world.vertices).min())
     is_likelier = lower.score >= SHALLOW_SCORE and upper.score >= whole.score + MUCH_BETTER
+    is_likelier |= explains_more and lower.score >= NARROW_SCORE and upper.score >= whole.score
     is_broader = lower.radius > BROADER * upper.radius and base > FLOOR
     return (lower.category, upper.category) == ("bowl", "mug") and is_likelier and is_broader
 

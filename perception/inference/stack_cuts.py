@@ -19,9 +19,10 @@ from perception.detection.geometry import points_of
 from perception.detection.instances import remove_specks
 from perception.detection.poses import class_mass
 from perception.inference.color_cuts import color_cut
-from perception.inference.contents import VESSELS
+from perception.inference.contents import VESSELS, find_rim
 from perception.inference.explanation import FAR, SAMPLES
-from perception.inference.observation import ObjectObservation
+from perception.inference.initialise import plane_basis
+from perception.inference.observation import ObjectObservation, measured_points
 from perception.inference.seams import Seam, find_seams, part_masks
 from perception.inference.stack_choice import is_doubtful, is_vessel
 from perception.inference.stacking import raised
@@ -49,6 +50,9 @@ CARRIERS: tuple[Category, ...] = ("mug", "bowl", "can")  # nothing stands on a b
 MIN_PIXELS = 150  # of a part in a view
 NAMING_VIEWS = 3
 TRIALS = 2  # cuts of one stack whose parts are fitted, besides that between two colours, which comes first
+# Height [m] of a vessel's floor from which on it may stand in another one, and part of the rim's radius in
+# which that is seen.
+RAISED_FLOOR, MIDDLE = 0.015, 0.4
 _SPECK = 0.05  # smallest separate piece of a mask, as a share of its largest
 
 
@@ -121,15 +125,38 @@ class StackCuts:
             return [*self.between_colors(id, free_id, whole is not None), *likeliest]
         if whole is not None and is_vessel(whole):
             parted = self.between_colors(id, free_id)
-            return [p for p in parted if p.probability >= SURE and set(p.categories) <= set(VESSELS)]
+            sure = [p for p in parted if p.probability >= SURE and set(p.categories) <= set(VESSELS)]
+            return [
+                *sure,
+                *(self.at_seams(id, free_id, nested_only=True) if self._has_raised_floor(id) else ()),
+            ]
         return []
 
-    def at_seams(self, id: int, free_id: int) -> list[Parts]:
-        """Return the cuts of an instance at the seams of its outline, at the strongest first."""
+    def _has_raised_floor(self, id: int) -> bool:
+        """Return whether the floor that a vessel shows inside is higher than that of one on the plane."""
+        shown, plane = self._shown(id)
+        seen = [ObjectObservation(self.views[k], d.mask) for k, d in shown.items()]
+        points = measured_points(seen, erode=2)
+        plan, height = points @ plane_basis(plane)[:2].T, plane.height_above(points)
+        rim = find_rim(plan, height)
+        if rim is None:
+            return False
+        middle = height[np.linalg.norm(plan - rim.centre, axis=1) < MIDDLE * rim.radius]
+        return len(middle) >= MIN_PIXELS and float(np.median(middle)) > RAISED_FLOOR
+
+    def at_seams(self, id: int, free_id: int, nested_only: bool = False) -> list[Parts]:
+        """Return the cuts of an instance at the seams of its outline, at the strongest first.
+
+        Args:
+            id: Id of the instance.
+            free_id: Id of the lower part.
+            nested_only: Whether only those count at which one object stands inside the rim of another.
+        """
         shown, plane = self._shown(id)
         seen = {k: ObjectObservation(self.views[k], d.mask) for k, d in shown.items()}
+        seams = find_seams(tuple(seen.values()), plane)
         proposals = []
-        for seam in find_seams(tuple(seen.values()), plane):
+        for seam in [seam for seam in seams if seam.nested or not nested_only]:
             masks = {k: part_masks(view, seam, plane) for k, view in seen.items()}
             named = []
             for number, base in enumerate(_bases(seam, plane)):

@@ -14,6 +14,8 @@ from perception.inference.stack_choice import (
     FULLY,
     LEAST_HEIGHT,
     LIKELY_WHOLE,
+    MORE_THAN,
+    NARROW_SCORE,
     SHARED,
     SLENDER,
     TALL,
@@ -290,3 +292,24 @@ def test_a_mug_that_explains_all_may_be_one_in_a_shallow_bowl(leave, lower, uppe
     mug = {"category": "mug", "base": 0.028, "height": 0.12, "radius": 0.045, "score": 0.99} | upper
     whole = shape("mug", height=0.148, radius=0.05, score=0.91)
     assert are_two([shape(**bowl), shape(**mug)], whole, POINTS, 0.0, PLANE) is accepted
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "scores", "accepted"),
+    [
+        (MORE_THAN + 0.004, 0.002, (NARROW_SCORE + 0.01, 0.95), True),
+        (MORE_THAN + 0.004, 0.002, (NARROW_SCORE - 0.01, 0.95), False),
+        (MORE_THAN + 0.004, 0.002, (NARROW_SCORE + 0.01, 0.93), False),
+        (MORE_THAN + 0.004, 0.009, (NARROW_SCORE + 0.01, 0.95), False),
+        (MORE_THAN - 0.002, 0.002, (NARROW_SCORE + 0.01, 0.95), False),
+    ],
+)
+def test_a_mug_may_be_one_in_a_bowl_hardly_broader_if_both_explain_more(
+    leave, before, after, scores, accepted
+):
+    leave(after)
+    bowl = shape("bowl", height=0.048, radius=0.056, score=scores[0])
+    mug = shape("mug", base=0.022, height=0.115, radius=0.049, score=scores[1])
+    whole = shape("mug", height=0.13, radius=0.048, score=0.94)
+    assert are_two([bowl, mug], whole, POINTS, before, PLANE) is accepted
+    assert not are_two([replace(bowl, category="mug"), mug], whole, POINTS, before, PLANE)

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from perception.inference.stack_cuts import StackCuts
+from perception.inference import stack_cuts
+from perception.inference.seams import Seam
+from perception.inference.stack_cuts import RAISED_FLOOR, StackCuts
 from perception.types import (
     POSED_CLASSES,
     CameraIntrinsics,
@@ -96,12 +98,12 @@ def test_below_a_clearly_named_object_a_part_may_be_without_a_name(stack, rows):
     assert StackCuts(frames, rows, [PLANE], KnowsTheUpper()).between_colors(4, 9) == []
 
 
-def vessel_from_above(holds):
+def vessel_from_above(holds=False, floor=0.004):
     """A vessel of 0.06 m seen from above, with a cylinder of 0.025 m in it if it holds one."""
     v, u = np.mgrid[:160, :200]
     away = np.hypot(u - 99.5, v - 79.5) / 400.0  # of a pixel's ray from the axis at 1 m
     depth = np.full((160, 200), 0.6, np.float32)
-    for radius, height in ((0.06, 0.05), (0.055, 0.004), *([(0.025, 0.035)] if holds else [])):
+    for radius, height in ((0.06, 0.05), (0.055, floor), *([(0.025, 0.035)] if holds else [])):
         depth[away * (0.6 - height) < radius] = 0.6 - height
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = 0.6
@@ -135,3 +137,18 @@ def test_empty_upside_down_and_closed_objects_hold_nothing():
         assert StackCuts([view], rows, [PLANE], Namer()).inside(4, 7, other) == []
     unnamed = Namer((0.0, 0.0, 0.0, 0.0, 1.0))
     assert StackCuts([view], rows, [PLANE], unnamed).inside(4, 7, vessel) == []
+
+
+@pytest.mark.parametrize(("floor", "n_cuts"), [(RAISED_FLOOR - 0.002, 0), (RAISED_FLOOR + 0.002, 1)])
+def test_a_vessel_of_high_floor_is_cut_at_the_rim_of_one_around_it(monkeypatch, floor, n_cuts):
+    view, vessel, rows = vessel_from_above(floor=floor)
+    circle = (0.0, 0.0, 0.058)
+    seams = [Seam(0.03, nested, circle, (0.0, 0.0, 0.04), 0.01) for nested in (True, False)]
+    monkeypatch.setattr(stack_cuts, "find_seams", lambda *_: seams)
+    cuts = StackCuts([view], rows, [PLANE], Namer((0.5, 0.45, 0.0, 0.0, 0.05))).worth_fitting(
+        4, 7, vessel, 0.0
+    )
+    assert len(cuts) == n_cuts
+    for parts in cuts:
+        lower, upper = parts.rows[0]
+        assert lower.mask.any() and upper.mask.any() and not (lower.mask & upper.mask).any()
