@@ -1,8 +1,9 @@
 """From an object map to motions: where objects go, how to grasp them, how to move, and how to recover.
 
 The names below are the public interface; each is imported on first access. Read in this order: ``types`` (the
-data), ``planner`` (a whole task), ``pick_place`` (one object), ``execution`` (carrying it out). ``robot`` is
-the interface to an arm, simulated or real; ``scene_grasps`` needs no arm at all.
+data), ``planner`` (a whole task), ``planning_scene`` (what is where), ``pick_place`` (one object),
+``execution`` (carrying it out). ``robot`` is the interface to an arm, simulated or real; ``scene_grasps``
+needs no arm at all.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ class OpenPlaces:
 
     Args:
         task: goals of all objects.
-        scene: follows the objects.
+        scene: scene of planning, which follows the objects.
         config: settings.
     """
 

@@ -25,9 +25,9 @@ from perception.obstacles.obstacle import PerceivedObstacle
 
 
 class SceneState:
-    """A state of the scene, the same as itself alone: what failed in it fails again.
+    """A state of the scene, equal to itself alone. What failed in it fails again.
 
-    It ends with what is found out about it if that is kept in a ``WeakKeyDictionary``.
+    A ``WeakKeyDictionary`` of what is known of states drops what no scene can return to.
     """
 
 
