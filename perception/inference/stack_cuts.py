@@ -126,10 +126,8 @@ class StackCuts:
         if whole is not None and is_vessel(whole):
             parted = self.between_colors(id, free_id)
             sure = [p for p in parted if p.probability >= SURE and set(p.categories) <= set(VESSELS)]
-            return [
-                *sure,
-                *(self.at_seams(id, free_id, nested_only=True) if self._has_raised_floor(id) else ()),
-            ]
+            nested = self.at_seams(id, free_id, nested_only=True) if self._has_raised_floor(id) else []
+            return [*sure, *nested]
         return []
 
     def _has_raised_floor(self, id: int) -> bool:
