@@ -90,21 +90,19 @@ class PickPlacePlanner:
     ) -> None:
         self.kinematics, self.config = kinematics, config
         self.scene = PlanningScene(kinematics.arm, items, obstacles, config.collision, config.grasp, grasps)
-        self._motions, self._timing = self._in_world()
+        self._motions = self._motions_in_world()
         self._lifts: dict[tuple[str, ...], float] = {}  # of the last bowls of stacks
         self._examined: WeakKeyDictionary[SceneState, _Examined] = WeakKeyDictionary()
 
-    def _in_world(self) -> tuple[MotionPlanner, PlanTiming]:
-        """Return planner and timing of motions in the present collision world."""
+    def _motions_in_world(self) -> MotionPlanner:
         c = self.config
-        motions = MotionPlanner(self.kinematics, self.scene.world, c.motion, c.via_heights, c.middle_radius)
-        return motions, PlanTiming(motions)
+        return MotionPlanner(self.kinematics, self.scene.world, c.motion, c.via_heights, c.middle_radius)
 
     @property
     def motions(self) -> MotionPlanner:
         """Planner of motions in the scene's present collision world."""
         if self._motions.world is not self.scene.world:
-            self._motions, self._timing = self._in_world()
+            self._motions = self._motions_in_world()
         return self._motions
 
     def resting_pose(self, placement: Placement, yaw: float) -> Float[np.ndarray, "4 4"]:
@@ -167,7 +165,7 @@ class PickPlacePlanner:
             placement: goal of the object, or several in descending order of preference.
             q_start: (n,) present joint positions in [rad].
             tried: grasps that failed; these and similar ones are excluded.
-            grasps: candidates other than those of ``grasps``.
+            grasps: candidates other than those of ``PlanningScene.grasps``.
             contents: names of objects in it that are carried with it.
 
         Raises:
@@ -310,7 +308,8 @@ class PickPlacePlanner:
     ) -> PickPlacePlan:
         """Return the plan with trajectories for all motions."""
         moves = np.abs(start[0] - start[-1]).max() > 1e-6
-        carry, transfer = self._timing.transfer(goal.item, pick.grasp, way, place.lowering)
+        timing = PlanTiming(self.motions)
+        carry, transfer = timing.transfer(goal.item, pick.grasp, way, place.lowering)
         return PickPlacePlan(
             name=goal.item.name,
             grasp=pick.grasp,
@@ -318,7 +317,7 @@ class PickPlacePlanner:
             T_world_stand_goal=place.T_world_stand_goal,
             T_world_stand_rest=goal.T_world_stand_rest,
             release_opening=place.release_opening,
-            transit=self._timing.transit(start, pick.grasp.opening) if moves else None,
+            transit=timing.transit(start, pick.grasp.opening) if moves else None,
             approach=self.motions.time_line(pick.approach),
             lift=self.motions.time_line(pick.lift, "carried"),
             transfer=transfer,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,24 @@ def confusion_matrix(true: Int[np.ndarray, "n"], predicted: Int[np.ndarray, "n"]
     """Return the counts of (true class, predicted class); rows are true classes."""
     size = len(LABELS)
     return np.bincount(true * size + predicted, minlength=size**2).reshape(size, size)
+
+
+def confusion_table(
+    labels: Sequence[str], confusion: Sequence[Sequence[int]], right: Mapping[str, float]
+) -> str:
+    """Return a confusion matrix as a Markdown table, with the share of each true label that is right.
+
+    Args:
+        labels: Names of rows and columns.
+        confusion: Counts of (true label, predicted label); rows are true labels.
+        right: The shares in 0..1, by label.
+    """
+    header = "| true \\ predicted | " + " | ".join(labels) + " | right |\n|" + " --- |" * (len(labels) + 2)
+    rows = (
+        f"| {name} | " + " | ".join(str(n) for n in row) + f" | {right[name]:.3f} |"
+        for name, row in zip(labels, confusion, strict=True)
+    )
+    return "\n".join((header, *rows))
 
 
 def calibration_error(score: Float[np.ndarray, "n"], correct: np.ndarray, bins: int = 10) -> float:

@@ -35,10 +35,7 @@ from app.training.scene_dataset import (
     load_scenes,
     render_shards,
 )
-from perception.detection.crop_training import (
-    CropSet,
-    TrainingJob,
-)
+from perception.detection.crop_training import CropSet, TrainingJob
 from perception.detection.scene_network import SceneNet, save_scene_network
 from perception.detection.scene_training import SceneTrainingConfig
 from perception.detection.tasks import LABELS, SCENE_WEIGHTS_FILE, WEIGHTS_FILES

@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 
+from app.training.class_metrics import confusion_table
 from app.training.crop_cycles import CalibratedNetwork, CropSplits
 from app.training.detector_config import STACKED, TrainDetectorConfig
 from perception.detection.detector import SCENE_SHARE
@@ -21,11 +22,6 @@ def model_card(
     crops: CropSplits,
 ) -> str:
     """Return the model card in Markdown: architecture, training, data, evaluation and limitations."""
-    header = "| true \\ predicted | " + " | ".join(LABELS) + " | right |\n|" + " --- |" * (len(LABELS) + 2)
-    rows = "\n".join(
-        f"| {name} | " + " | ".join(str(n) for n in row) + f" | {metrics['accuracy_per_class'][name]:.3f} |"
-        for name, row in zip(LABELS, metrics["confusion"])
-    )
     second = stacked = evaluated = ""
     if crops.stacked is not None:
         second = _SECOND.format(second=config.second)
@@ -39,7 +35,7 @@ def model_card(
         class_share=1 - SCENE_SHARE, instance_share=SCENE_SHARE,
         config=config, training=config.training,
         scene_epochs=config.scene_epochs, torch=torch.__version__.split("+")[0],
-        confusion=f"{header}\n{rows}", m=metrics,
+        confusion=confusion_table(LABELS, metrics["confusion"], metrics["accuracy_per_class"]), m=metrics,
     )  # fmt: skip
 
 

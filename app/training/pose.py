@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from app.jobs import Workers
+from app.training.class_metrics import confusion_table
 from app.training.crop_cycles import CalibratedNetwork, CropSplits, train_cycles
 from app.training.crop_dataset import (
     LabelledCrops,
@@ -225,16 +226,6 @@ def _card(
     config: TrainPoseConfig, metrics: dict[str, Any], trained: CalibratedNetwork, crops: CropSplits
 ) -> str:
     """Return the model card in Markdown: architecture, training, data, evaluation and limitations."""
-    header = (
-        "| true \\ predicted | "
-        + " | ".join(POSE_LABELS)
-        + " | right |\n|"
-        + " --- |" * (len(POSE_LABELS) + 2)
-    )
-    rows = "\n".join(
-        f"| {name} | " + " | ".join(str(n) for n in row) + f" | {metrics['accuracy_per_pose'][name]:.3f} |"
-        for name, row in zip(POSE_LABELS, metrics["confusion"])
-    )
     second = stacked = evaluated = ""
     if crops.stacked is not None:
         second = _SECOND.format(second=config.second)
@@ -244,7 +235,8 @@ def _card(
         parameters=sum(p.numel() for p in trained.network.parameters()), temperature=trained.temperature,
         second=second, stacked=stacked, evaluated=evaluated, crops=len(crops.training),
         config=config, training=config.training, torch=provenance(config)["torch"].split("+")[0],
-        confusion=f"{header}\n{rows}", m=metrics, posed=PoseMix.posed,
+        confusion=confusion_table(POSE_LABELS, metrics["confusion"], metrics["accuracy_per_pose"]),
+        m=metrics, posed=PoseMix.posed,
     )  # fmt: skip
 
 

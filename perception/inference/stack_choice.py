@@ -32,7 +32,7 @@ SURE_SCORE, THICK, THICK_SHARE = 0.8, 0.03, 0.35
 SHALLOW_SCORE, MUCH_BETTER, BROADER, FLOOR = 0.7, 0.05, 1.05, 0.01
 # Least score of the fit of a bowl that is hardly broader, and share of unexplained points above which both
 # can explain more.
-NARROW_SCORE, MORE_THAN = 0.35, 0.01
+NARROW_SCORE, NARROW_DOUBT = 0.35, 0.01
 FULLY = 0.005  # share of unexplained points up to which a bottle explains all that is seen
 # Radius of the upper of two cans relative to the lower one where they meet, from which on they are no bottle.
 WIDER = 1.1
@@ -83,7 +83,7 @@ def are_two(
     after = unexplained(points, pair)
     if after >= DOUBTFUL or not all(is_vessel(e) for e in (*pair, whole)):
         return False
-    explains_more = before > MORE_THAN and after < CLEARLY * before
+    explains_more = before > NARROW_DOUBT and after < CLEARLY * before
     return _is_raised(pair, whole, plane) or _is_mug_in_bowl(pair, whole, plane, explains_more)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from app.training.class_metrics import calibration_error, class_metrics, confusion_matrix
+from app.training.class_metrics import calibration_error, class_metrics, confusion_matrix, confusion_table
 from app.training.crop_dataset import LabelledCrops
 
 
@@ -29,3 +29,13 @@ def test_calibration_error_is_the_mean_gap_over_bins():
 def test_rows_of_the_confusion_matrix_are_true_classes():
     matrix = confusion_matrix(np.array([0, 0, 4]), np.array([1, 0, 3]))
     assert matrix[0, 1] == matrix[0, 0] == matrix[4, 3] == 1 and matrix.sum() == 3
+
+
+def test_the_table_has_true_labels_as_rows_and_their_shares_last():
+    table = confusion_table(("can", "mug"), [[7, 3], [1, 4]], {"can": 0.7, "mug": 0.8})
+    assert table.splitlines() == [
+        "| true \\ predicted | can | mug | right |",
+        "| --- | --- | --- | --- |",
+        "| can | 7 | 3 | 0.700 |",
+        "| mug | 1 | 4 | 0.800 |",
+    ]

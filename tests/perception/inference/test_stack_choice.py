@@ -14,7 +14,7 @@ from perception.inference.stack_choice import (
     FULLY,
     LEAST_HEIGHT,
     LIKELY_WHOLE,
-    MORE_THAN,
+    NARROW_DOUBT,
     NARROW_SCORE,
     SHARED,
     SLENDER,
@@ -297,11 +297,11 @@ def test_a_mug_that_explains_all_may_be_one_in_a_shallow_bowl(leave, lower, uppe
 @pytest.mark.parametrize(
     ("before", "after", "scores", "accepted"),
     [
-        (MORE_THAN + 0.004, 0.002, (NARROW_SCORE + 0.01, 0.95), True),
-        (MORE_THAN + 0.004, 0.002, (NARROW_SCORE - 0.01, 0.95), False),
-        (MORE_THAN + 0.004, 0.002, (NARROW_SCORE + 0.01, 0.93), False),
-        (MORE_THAN + 0.004, 0.009, (NARROW_SCORE + 0.01, 0.95), False),
-        (MORE_THAN - 0.002, 0.002, (NARROW_SCORE + 0.01, 0.95), False),
+        (NARROW_DOUBT + 0.004, 0.002, (NARROW_SCORE + 0.01, 0.95), True),
+        (NARROW_DOUBT + 0.004, 0.002, (NARROW_SCORE - 0.01, 0.95), False),
+        (NARROW_DOUBT + 0.004, 0.002, (NARROW_SCORE + 0.01, 0.93), False),
+        (NARROW_DOUBT + 0.004, 0.009, (NARROW_SCORE + 0.01, 0.95), False),
+        (NARROW_DOUBT - 0.002, 0.002, (NARROW_SCORE + 0.01, 0.95), False),
     ],
 )
 def test_a_mug_may_be_one_in_a_bowl_hardly_broader_if_both_explain_more(
