@@ -44,7 +44,7 @@ class GraspConfig:
     gripper: GripperGeometry = field(default_factory=GripperGeometry)
     n_azimuths: int = 24
     mug_depth: float = 0.013
-    bowl_depth: float = 0.0155
+    bowl_depth: float = 0.010
     depth_fractions: tuple[float, ...] = (1.0, 0.8, 0.6)
     min_depth: float = 0.008
     top_depths: tuple[float, ...] = (0.022, 0.016, 0.028, 0.012, 0.032, 0.006)

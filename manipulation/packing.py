@@ -13,6 +13,7 @@ from functools import cache, partial
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from manipulation.errors import PlanningError
 from manipulation.footprints import BoxRaster
@@ -159,9 +160,9 @@ def nest_drop(
     rims = max(height + bowl.top for height, bowl in zip(heights[:-1], stack[:-1]))
     tip = heights[-1] + upper.top - depth - gripper.tip  # of the finger when the bowl rests
     above = float(np.clip(rims - tip + _ABOVE_RIM, config.release_height, config.max_drop))
-    across = config.nest_opening + gripper.pad_thickness + config.nest_clearance
     for drop in np.arange(config.release_height, above, 0.002):
         z = np.arange(tip + drop, rims + _ABOVE_RIM, 0.002)
+        across = config.nest_opening + _finger_thickness(gripper, z - tip - drop) + config.nest_clearance
         finger = across + np.interp(z - heights[-1] - drop, profiles[-1].heights, profiles[-1].outer)
         if all(
             (finger <= _cavity(profile, bowl.top, z - height)).all()
@@ -169,6 +170,12 @@ def nest_drop(
         ):
             return float(drop)
     return above
+
+
+def _finger_thickness(gripper: GripperGeometry, heights: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+    """Return the thickness [m] of a finger at heights [m] above its tip; it grows along the pad."""
+    above_pad = gripper.tip + gripper.pad_half_height
+    return np.interp(heights, [0.0, above_pad], [gripper.pad_thickness, gripper.finger_thickness])
 
 
 def _cavity(profile: RadialProfile, rim: float, heights: np.ndarray) -> np.ndarray:

@@ -40,8 +40,8 @@ class PackingConfig:
     wall_gaps: tuple[float, ...] = (0.008, 0.04, 0.075)
     roomy_wall_gap: float = 0.014
     release_height: float = 0.001
-    max_drop: float = 0.044
-    nest_opening: float = 0.0065
+    max_drop: float = 0.056
+    nest_opening: float = 0.0125
     nest_clearance: float = 0.003
     enough_releases: int = 4
     n_handle_directions: int = 8

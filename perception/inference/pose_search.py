@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -19,7 +20,7 @@ from perception.inference.observation import pixel_rays
 from perception.inference.voxelise import voxels_of
 from perception.rendering.pose import ObjectPose, canonical_from_camera, pose_jacobian
 from perception.rendering.renderer import RayBundle, ShapeGrid, render
-from perception.types import GRID_RESOLUTION, ObjectEstimate, RgbdFrame, SupportPlane
+from perception.types import GRID_RESOLUTION, ObjectEstimate, RgbdFrame, SupportPlane, TriangleMesh
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,8 @@ class RefitConfig:
         agree: Largest depth residual of a pixel that agrees with the object, in metres.
         min_pixels: Smallest number of visible pixels of the full images for a decision.
         min_share: Smallest share of the visible pixels that must agree.
+        min_own: Smallest share of them that agree and that nothing below the object explains: a bowl that is
+            not in another one is found in the surface of that one otherwise.
         starts: Offset of the other initial positions, tried if the expected one fails, in metres.
     """
 
@@ -50,6 +53,7 @@ class RefitConfig:
     agree: float = 0.008
     min_pixels: int = 80
     min_share: float = 0.6
+    min_own: float = 0.4
     starts: float = 0.02
 
 
@@ -68,6 +72,7 @@ class PoseSearch:
         cameras: (n, 4, 4) poses T_world_camera of the views with measurements.
         explained: Smallest depth residual of each ray with respect to another object, in metres; infinite
             where none is rendered.
+        explained_below: The same of those objects alone whose lowest point is below that of this one.
     """
 
     def __init__(
@@ -87,7 +92,12 @@ class PoseSearch:
         self.samples = int(np.clip(2 * (self.radius + config.margin) / (config.step * voxel), 24, 256))
         centre = np.asarray(T_expected)[:3, 3]
         self.rays, self.measured, self.area, self.cameras = self._gather(frames, centre)
-        self.explained = self._explained_by(others)
+        base = _lowest(estimate.mesh, T_expected)
+        below = [_lowest(other.mesh, other.T_world_object) < base for other in others]
+        each = [self._residuals(other) for other in others]
+        none = np.full(len(self.measured), np.inf, np.float32)
+        self.explained = np.min([none, *each], axis=0)
+        self.explained_below = np.min([none, *compress(each, below)], axis=0)
 
     def _gather(
         self, frames: Sequence[RgbdFrame], centre: Float[np.ndarray, "3"]
@@ -134,23 +144,19 @@ class PoseSearch:
         )
         return rays, np.concatenate(measured), np.concatenate(area), np.stack(cameras)
 
-    def _explained_by(self, others: Sequence[ObjectEstimate]) -> Float[np.ndarray, "n"]:
-        """Return ``explained``."""
-        nearest = np.full(len(self.measured), np.inf, np.float32)
+    def _residuals(self, other: ObjectEstimate) -> Float[np.ndarray, "n"]:
+        """Return the depth residual [m] of each ray with respect to an object; infinite without a hit."""
         if not len(self.measured):
-            return nearest
-        for other in others:
-            grid, scale = voxels_of(other.mesh)
-            pose = ObjectPose.of(other.T_world_object, scale)
-            shape = ShapeGrid.upload(grid, skip_occupancy=1e-3)
-            centres = [transform_points(invert(T), pose.translation[None])[0, 2] for T in self.cameras]
-            reach = float(np.linalg.norm(0.9 * scale)) + 0.01
-            ranges = np.array([(max(z - reach, 0.01), max(z + reach, 0.02)) for z in centres])
-            rays = RayBundle(self.rays.directions, self.rays.view, ranges, self.rays.samples)
-            image = render(shape, rays, canonical_from_camera(pose, self.cameras), gradients=False)
-            distance = np.where(image.mask > 0.5, np.abs(image.depth - self.measured), np.inf)
-            nearest = np.minimum(nearest, distance)
-        return nearest
+            return np.zeros(0, np.float32)
+        grid, scale = voxels_of(other.mesh)
+        pose = ObjectPose.of(other.T_world_object, scale)
+        shape = ShapeGrid.upload(grid, skip_occupancy=1e-3)
+        centres = [transform_points(invert(T), pose.translation[None])[0, 2] for T in self.cameras]
+        reach = float(np.linalg.norm(0.9 * scale)) + 0.01
+        ranges = np.array([(max(z - reach, 0.01), max(z + reach, 0.02)) for z in centres])
+        rays = RayBundle(self.rays.directions, self.rays.view, ranges, self.rays.samples)
+        image = render(shape, rays, canonical_from_camera(pose, self.cameras), gradients=False)
+        return np.where(image.mask > 0.5, np.abs(image.depth - self.measured), np.inf)
 
     def refine(self, pose: ObjectPose, reaches: Sequence[float] | None = None) -> ObjectPose:
         """Return the pose of least squares to the measured depth within ``reaches``, from an initial pose."""
@@ -200,6 +206,14 @@ class PoseSearch:
         own = on & (np.abs(behind) < self.config.agree) & (self.explained >= least)
         return float(self.area[own].sum()), float(self.area[on & (behind >= self.config.agree)].sum())
 
+    def own(self, pose: ObjectPose) -> float:
+        """Return the number of full-image pixels that agree and that nothing below the object explains."""
+        if not len(self.measured):
+            return 0.0
+        image = render(self.shape, self.rays, canonical_from_camera(pose, self.cameras), gradients=False)
+        agree = (image.mask > 0.8) & (np.abs(self.measured - image.depth) < self.config.agree)
+        return float(self.area[agree & (self.explained_below >= self.config.agree)].sum())
+
     def gain(self, pose: ObjectPose, alone: bool = False) -> float:
         """Return by how many pixels those that agree outnumber those that contradict.
 
@@ -212,3 +226,8 @@ class PoseSearch:
         """Return the share of the visible pixels that agree with the object at a pose."""
         agree, through = self.evidence(pose)
         return agree / max(agree + through, 1.0)
+
+
+def _lowest(mesh: TriangleMesh, T_world_object: Float[np.ndarray, "4 4"]) -> float:
+    """Return the height [m] of the lowest vertex of a mesh."""
+    return float((mesh.vertices @ T_world_object[2, :3]).min() + T_world_object[2, 3])

@@ -39,8 +39,8 @@ class PoseCheck:
 
     Attributes:
         T_world_object: (4, 4) refined pose; the expected one unless the object is seen.
-        status: "seen"; "not_there" if the cameras measure depth behind the object; "hidden" if too few of its
-            pixels are visible for a decision.
+        status: "seen"; "not_there" if the cameras measure depth behind the object, or what is below
+            it explains what they measure; "hidden" if too few of its pixels are visible for a decision.
         inlier_share: Share of the object's visible pixels whose depth agrees, in 0..1.
         visible_pixels: Number of visible pixels of all views, in pixels of the full images.
         tilt: Angle between the object's axis and the plane's normal, in radians.
@@ -146,7 +146,7 @@ def checked(search: PoseSearch, best: ObjectPose, expected: ObjectPose) -> PoseC
     status: PoseStatus = "seen"
     if visible < config.min_pixels:
         status = "hidden"
-    elif agree / visible < config.min_share:
+    elif agree / visible < config.min_share or search.own(best) / visible < config.min_own:
         status = "not_there"
     found = best if status == "seen" else expected
     return PoseCheck(

@@ -14,6 +14,7 @@ from manipulation.workspace import Workspace
 from perception.detection.geometry import points_of
 from perception.errors import PerceptionError
 from perception.geometry import pose_from_yaw, so3_exp
+from perception.inference.pose_search import RefitConfig
 from perception.inference.refit import PoseCheck
 from perception.obstacles.obstacle import PerceivedObstacle
 
@@ -42,7 +43,7 @@ def scene(overhead_frame, can_at, pack_plan, monkeypatch):
             raise answers[kind]
         return answers[kind]
 
-    monkeypatch.setattr(observation, "refit_pose", lambda *args: answer("check"))
+    monkeypatch.setattr(observation, "refit_pose", lambda *args, **options: answer("check"))
     monkeypatch.setattr(observation, "refit_leaning", lambda *args: answer("check"))
     monkeypatch.setattr(observation, "relocate", lambda *args, **options: answer("found"))
     watch = WristObserver(scanner, [can_at()], pack_plan.objects)
@@ -68,6 +69,19 @@ def test_a_glance(scene, can_at):
         answers["check"] = check
         assert watch.glance(poses, ("can_0",)) == {"can_0": presence}
     assert scanner.visited == []
+
+
+@pytest.mark.parametrize(("moved", "least"), [(0.0, 0.0), (0.1, RefitConfig().min_own)])
+def test_only_what_was_moved_must_be_told_from_what_is_below(scene, can_at, monkeypatch, moved, least):
+    watch, poses, answers, _ = scene
+    T, asked = poses["can_0"].copy(), []
+    T[0, 3] += moved
+    answers["check"] = shifted(can_at, moved)
+    monkeypatch.setattr(
+        observation, "refit_pose", lambda *args, config: asked.append(config) or answers["check"]
+    )
+    assert watch.glance({"can_0": T}, ("can_0",)) == {"can_0": "in_place"}
+    assert [config.min_own for config in asked] == [least]
 
 
 @pytest.mark.parametrize(("category", "presence"), [("can", "in_place"), ("mug", "displaced")])

@@ -1,5 +1,7 @@
 """Pose checks of objects in place, moved, absent, occluded and filled."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -107,6 +109,18 @@ def test_a_neighbour_is_not_taken_for_the_object(mug, estimate) -> None:
     neighbour = ObjectEstimate(1, "mug", mug.code, beside.pose.T_world_object, mug.pose.scale, estimate.mesh)
     check = refit_pose(estimate, _frames(beside), mug.pose.T_world_object, [neighbour])
     assert check.status == "not_there"
+
+
+def test_an_object_is_not_found_in_the_surface_of_one_below(mug, estimate) -> None:
+    """The same shape is a little lower and aside; a fit of the pose leads there."""
+    T_expected = mug.pose.T_world_object.copy()
+    T_expected[[0, 2], 3] += 0.006
+    there = ObjectEstimate(1, "mug", mug.code, mug.pose.T_world_object, mug.pose.scale, estimate.mesh)
+    assert refit_pose(estimate, _frames(mug), T_expected).status == "seen"
+    for check in (refit_pose, refit_leaning):
+        assert check(estimate, _frames(mug), T_expected, [there]).status == "not_there"
+    higher = replace(there, T_world_object=there.T_world_object @ rigid(np.eye(3), np.array([0, 0, 0.007])))
+    assert refit_pose(estimate, _frames(mug), T_expected, [higher]).status == "seen"
 
 
 def test_contents_do_not_lift_a_bowl(scenes) -> None:
