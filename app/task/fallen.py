@@ -28,6 +28,7 @@ LEANING = np.deg2rad(15.0)  # tilt of what counts as leaning; images show it to 
 # by 11 degrees differed by 17.
 TURNED, APART = np.deg2rad(12.0), np.deg2rad(10.0)
 AGREES = 0.65  # share of the visible pixels from which on an object is surely where it was placed
+GONE = "it was placed, but is not in the box any more"
 BETTER = 0.1  # by which another pose in the box must explain more of them
 
 
@@ -68,6 +69,28 @@ def fallen_objects(
         upright = levelled(checks[id].T_world_object, placed[id].T_world_object[2, 3])
         found.append(replace(placed[id], T_world_object=upright, resting="upright", rests_on=None))
     return sorted(found, key=lambda estimate: estimate.id)
+
+
+def without_gone(result: TaskResult, box: Box) -> TaskResult:
+    """Return the results without the places of what is nowhere in the box any more: it fell off the rim.
+
+    Args:
+        result: results with images of the box and the checks made in them.
+        box: the box.
+    """
+    placed = placed_estimates(result)
+    missing = {id for id in placed.keys() & result.checks.keys() if result.checks[id].status == "not_there"}
+    if not missing:
+        return result
+    others = [estimate for id, estimate in placed.items() if id not in missing]
+    scene = SearchScene(result.final_frames, box_interior(box), others)
+    gone = {id for id in missing if relocate(placed[id], scene) is None}
+    outcomes = [
+        replace(o, placed=False, reason=GONE, T_world_stand=None) if o.id in gone else o
+        for o in result.outcomes
+    ]
+    checks = {id: check for id, check in result.checks.items() if id not in gone}
+    return replace(result, outcomes=outcomes, checks=checks)
 
 
 def left_in_box(result: TaskResult, box: Box) -> list[ObjectEstimate]:

@@ -11,7 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.task.fallen import fallen_objects, is_something_lost, items_left, left_in_box, with_lost_found
+from app.task.fallen import (
+    fallen_objects,
+    is_something_lost,
+    items_left,
+    left_in_box,
+    with_lost_found,
+    without_gone,
+)
 from app.task.further_views import MOST_CLOSER
 from app.task.nests import with_bowls_named
 from app.task.obstacles import bounds_of, filled_bounds, known_bounds, obstacles_during, table_of
@@ -66,17 +73,19 @@ class FurtherRounds:
         """Return the results after what is not as it was to be was placed again; None if nothing was.
 
         In the box that is what fell, leans, was turned or does not nest, on the rows what is out of order.
+        What is not in the box any more is not placed in the results, and may be on the table.
         """
-        box = self._stages.request.filled_box
+        box, before = self._stages.request.filled_box, result
         if box is None:
             result, wrong = self._out_of_order(result)
         else:
+            result = without_gone(result, box)
             placed = placed_estimates(result)
             wrong = fallen_objects(placed, result.checks, result.final_frames, box)
             if not wrong:
                 result, wrong = self._with_loose_bowl(result, box)
         if not wrong or result.detections is None:
-            return None
+            return None if len(placed_items(result)) == len(placed_items(before)) else result
         names = {estimate.name for estimate in wrong}
         beside = [e for e in placed_estimates(result).values() if e.name not in names]
         items = {name: item for name, item in placed_items(result).items() if name not in names}

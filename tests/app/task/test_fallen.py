@@ -16,6 +16,7 @@ from app.task.fallen import (
     items_left,
     left_in_box,
     with_lost_found,
+    without_gone,
 )
 from app.task.task_types import TaskResult
 from manipulation.types import Box, ObjectOutcome
@@ -200,3 +201,22 @@ def test_what_was_lost_is_found_where_it_lies_in_the_box(
         (found,) = (e for e in left_in_box(latest, Box()) if e.id == 1)
         np.testing.assert_allclose(found.T_world_object, lying, atol=1e-9)
         assert found.resting == "lying"
+
+
+@pytest.mark.parametrize(
+    ("status", "is_in_box", "is_gone"),
+    [("not_there", False, True), ("not_there", True, False), ("seen", False, False)],
+)
+def test_what_is_not_in_the_box_any_more_has_no_place(
+    can_at, pack_plan, monkeypatch, status, is_in_box, is_gone
+) -> None:
+    monkeypatch.setattr(fallen, "relocate", lambda estimate, scene: check() if is_in_box else None)
+    inside = pose_from_yaw(0.0, np.array([0.5, 0.27, 0.004]))
+    outcomes = [ObjectOutcome(id, f"can_{id}", True, 1, "", inside) for id in (0, 1)]
+    plan = replace(pack_plan, objects={o.name: pack_plan.objects["can_1"] for o in outcomes})
+    checks = {0: check(), 1: check(status)}
+    result = TaskResult(objects=[can_at(0), can_at(1, 0.5)], plan=plan, outcomes=outcomes, checks=checks)
+    latest = without_gone(result, Box())
+    assert [o.placed for o in latest.outcomes] == [True, not is_gone]
+    assert list(latest.checks) == ([0] if is_gone else [0, 1])
+    assert is_something_lost(latest) is is_gone

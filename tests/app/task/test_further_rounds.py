@@ -226,6 +226,23 @@ def test_what_fell_in_the_box_is_placed_again_and_verified_again(stages, pack_pl
     assert len(stages.scanner.visited) == 3, "one scan and two verifications"
 
 
+def test_what_is_not_in_the_box_any_more_is_looked_for_on_the_table(stages):
+    def without_gone(result, box):
+        return replace(
+            result, outcomes=[replace(o, placed=False, T_world_stand=None) for o in result.outcomes]
+        )
+
+    looked = []
+    stages.replace("without_gone", without_gone)
+    stages.replace("fallen_objects", lambda placed, *args: [])
+    stages.replace("loose_bowl", lambda *args: None)
+    stages.replace("with_bowls_named", lambda result, *args: result)
+    stages.replace("is_something_left", lambda result, latest: looked.append(result.outcomes) and False)
+    result = run(StillRobot(), stages.perception, TaskRequest("pack", Box()))
+    assert result.failure == "" and [o.placed for o in result.outcomes] == [False]
+    assert [[o.placed for o in outcomes] for outcomes in looked] == [[True], [False]]
+
+
 def test_a_bowl_beside_the_one_that_it_fits_into_is_placed_again_once(stages, pack_plan):
     loose = to_standing(stages.objects[0])
     again = replace(stages.outcomes[0], attempts=2)
