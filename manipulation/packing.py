@@ -81,11 +81,15 @@ def pack(
 
 @dataclass(frozen=True)
 class _Search:
-    """A search for layouts: kind, distance between objects in [m], least distance from the walls in [m]."""
+    """A search for layouts: kind, distance between objects in [m], least distance from the walls in [m].
+
+    Only the last relaxed layouts need not have all mugs in one row.
+    """
 
     kind: Literal["greedy", "relaxed", "restarted"]
     gap: float
     wall_gap: float
+    in_row: bool = True
 
 
 def _best_layout(problem: PackingProblem) -> Layout:
@@ -123,9 +127,10 @@ def _searches(config: PackingConfig) -> Iterator[_Search]:
     for gap in tight:
         yield _Search("relaxed", gap, near)
         yield from (_Search("greedy", gap, wall) for wall in config.wall_gaps)
-    for _ in range(config.n_restarts):
+    for restart in range(2 * config.n_restarts):
+        in_row = restart < config.n_restarts
         for index, gap in enumerate(tight):
-            yield _Search("relaxed" if index else "restarted", gap, near)
+            yield _Search("relaxed" if index else "restarted", gap, near, in_row)
 
 
 def _layouts(
@@ -135,7 +140,7 @@ def _layouts(
     # What swings a little in the fingers meets a wall as it meets a neighbour.
     wall_gap = max(search.wall_gap, min(search.gap, problem.config.roomy_wall_gap))
     if search.kind != "greedy":
-        yield from relaxation.layouts(search.gap, wall_gap, afresh=search.kind == "restarted")
+        yield from relaxation.layouts(search.gap, wall_gap, search.kind == "restarted", search.in_row)
         return
     # Stencils keep the gap from occupied cells; the walls are moved so that ``wall_gap`` remains.
     empty = BoxRaster(problem.box, wall_gap - search.gap)

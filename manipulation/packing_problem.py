@@ -32,7 +32,7 @@ class PackingConfig:
         roomy_gap: least gap in [m] that all layouts are searched for before smaller ones are.
         row_width: largest distance of a mug from the line of all in relaxed layouts, in [m].
         n_relaxed: number of random layouts that are relaxed.
-        n_restarts: how often others are relaxed, where not all objects fit.
+        n_restarts: how often others are relaxed where not all objects fit, and then how often without that line.
         seed: seed of the random layouts.
     """
 

@@ -114,15 +114,19 @@ class Relaxation:
         self._mugs = np.array([item.category == "mug" for item in self._items])
         self._starts: _Starts | None = None
 
-    def layouts(self, gap: float, wall_gap: float, afresh: bool = False) -> Iterator[Layout]:
+    def layouts(
+        self, gap: float, wall_gap: float, afresh: bool = False, in_row: bool = True
+    ) -> Iterator[Layout]:
         """Yield the layouts without overlap when objects keep ``gap`` and ``wall_gap`` [m].
 
         Args:
             gap, wall_gap: distances between objects and from the walls in [m].
             afresh: whether to begin with new random layouts.
+            in_row: whether all mugs stand in one row.
         """
         problem, starts = self._problem, self._starts
-        room = Room(np.array(problem.box.size[:2]) / 2 - wall_gap, gap, problem.config.row_width)
+        row_width = problem.config.row_width if in_row else np.inf
+        room = Room(np.array(problem.box.size[:2]) / 2 - wall_gap, gap, row_width)
         if starts is None or afresh:
             starts = self._random_starts(room.half)
         places, violation = relax(starts.parts, starts.places, room, self._rng)

@@ -113,6 +113,13 @@ def test_a_crowded_box_is_filled_where_rows_from_a_corner_leave_one_out(problem_
     assert np.linalg.norm(places, axis=1).min() < 0.02, "one is in the middle"
 
 
+def test_mugs_stand_in_no_row_where_none_has_room_for_them(problem_of, shapes):
+    box, quick = Box(size=(0.25, 0.19, 0.08)), {"gaps": (0.008, 0.005), "n_relaxed": 24, "n_restarts": 1}
+    problem = problem_of(*[("mug", shapes.mug(0.038))] * 4, box=box, grasped=True, **quick)
+    placements, left_out = pack(list(problem.items.values()), box, problem.config)
+    assert not left_out and len({placement.yaws for placement in placements}) == 1
+
+
 def test_the_same_problem_gives_the_same_layouts_and_a_new_start_others(problem_of, quincunx):
     cans, box = quincunx
     problem = problem_of(*cans, box=box, grasped=True, n_relaxed=24)
