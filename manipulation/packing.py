@@ -128,8 +128,8 @@ def _searches(config: PackingConfig) -> Iterator[_Search]:
         yield _Search("relaxed", gap, near)
         yield from (_Search("greedy", gap, wall) for wall in config.wall_gaps)
     for restart in range(2 * config.n_restarts):
-        in_row = restart < config.n_restarts
-        for index, gap in enumerate(tight):
+        in_row, is_last = restart < config.n_restarts, restart == 2 * config.n_restarts - 1
+        for index, gap in enumerate((*tight, config.least_gap) if is_last else tight):
             yield _Search("relaxed" if index else "restarted", gap, near, in_row)
 
 

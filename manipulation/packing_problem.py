@@ -32,7 +32,8 @@ class PackingConfig:
         roomy_gap: least gap in [m] that all layouts are searched for before smaller ones are.
         row_width: largest distance of a mug from the line of all in relaxed layouts, in [m].
         n_relaxed: number of random layouts that are relaxed.
-        n_restarts: how often others are relaxed where not all objects fit, and then how often without that line.
+        n_restarts: how often others are relaxed where not all objects fit, and then without that line.
+        least_gap: distance between objects in [m] that is tried at the very last.
         seed: seed of the random layouts.
     """
 
@@ -49,6 +50,7 @@ class PackingConfig:
     row_width: float = 0.008
     n_relaxed: int = 192
     n_restarts: int = 3
+    least_gap: float = 0.003
     seed: int = 0
 
 
