@@ -25,7 +25,7 @@ class PackingConfig:
         roomy_wall_gap: distance from the walls in [m] where the objects are at least as far apart.
         release_height: height above the floor at which an object is released, in [m].
         max_drop: largest height above its resting pose at which a nested bowl is released, in [m].
-        nest_opening: distance in [m] by which the outer finger opens to release a nested bowl.
+        nest_opening: largest distance in [m] by which the outer finger opens to release a nested bowl.
         nest_clearance: distance in [m] that this finger then keeps from the walls of lower bowls.
         enough_releases: number of collision-free releases of an object beyond which more do not count.
         n_handle_directions: number of handle directions.

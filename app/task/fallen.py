@@ -80,11 +80,11 @@ def without_gone(result: TaskResult, box: Box) -> TaskResult:
     """
     placed = placed_estimates(result)
     missing = {id for id in placed.keys() & result.checks.keys() if result.checks[id].status == "not_there"}
-    if not missing:
-        return result
     others = [estimate for id, estimate in placed.items() if id not in missing]
     scene = SearchScene(result.final_frames, box_interior(box), others)
     gone = {id for id in missing if relocate(placed[id], scene) is None}
+    if not gone:
+        return result
     outcomes = [
         replace(o, placed=False, reason=GONE, T_world_stand=None) if o.id in gone else o
         for o in result.outcomes
