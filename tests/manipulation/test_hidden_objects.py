@@ -47,7 +47,7 @@ def test_what_rests_on_a_known_object_or_has_no_item_hides_nothing(raised):
     assert hidden_objects(raised, {}, 0.08) == []
 
 
-@pytest.mark.parametrize(("box", "layouts"), [(Box(), 1), (Box(size=(0.18, 0.25, 0.10)), 2)])
+@pytest.mark.parametrize(("box", "layouts"), [(Box(), 1), (Box(size=(0.175, 0.235, 0.10)), 2)])
 def test_a_place_is_left_for_it_where_there_is_room(raised, arm, monkeypatch, box, layouts):
     """In the second box there is room for the two objects alone."""
     packed = []
