@@ -28,8 +28,8 @@ LEANING = np.deg2rad(15.0)  # tilt of what counts as leaning; images show it to 
 # by 11 degrees differed by 17.
 TURNED, APART = np.deg2rad(12.0), np.deg2rad(10.0)
 AGREES = 0.65  # share of the visible pixels from which on an object is surely where it was placed
-GONE = "it was placed, but is not in the box any more"
 BETTER = 0.1  # by which another pose in the box must explain more of them
+GONE = "it was placed, but is not in the box any more"
 
 
 def fallen_objects(
@@ -72,7 +72,7 @@ def fallen_objects(
 
 
 def without_gone(result: TaskResult, box: Box) -> TaskResult:
-    """Return the results without the places of what is nowhere in the box any more: it fell off the rim.
+    """Return the results without the places of objects that are not in the box any more.
 
     Args:
         result: results with images of the box and the checks made in them.
@@ -80,6 +80,8 @@ def without_gone(result: TaskResult, box: Box) -> TaskResult:
     """
     placed = placed_estimates(result)
     missing = {id for id in placed.keys() & result.checks.keys() if result.checks[id].status == "not_there"}
+    if not missing:
+        return result
     others = [estimate for id, estimate in placed.items() if id not in missing]
     scene = SearchScene(result.final_frames, box_interior(box), others)
     gone = {id for id in missing if relocate(placed[id], scene) is None}

@@ -75,18 +75,18 @@ class FurtherRounds:
         In the box that is what fell, leans, was turned or does not nest, on the rows what is out of order.
         What is not in the box any more is not placed in the results, and may be on the table.
         """
-        box, is_less = self._stages.request.filled_box, False
+        box, is_any_gone = self._stages.request.filled_box, False
         if box is None:
             result, wrong = self._out_of_order(result)
         else:
-            still_there = without_gone(result, box)
-            result, is_less = still_there, still_there is not result
+            before, result = result, without_gone(result, box)
+            is_any_gone = result is not before
             placed = placed_estimates(result)
             wrong = fallen_objects(placed, result.checks, result.final_frames, box)
             if not wrong:
                 result, wrong = self._with_loose_bowl(result, box)
         if not wrong or result.detections is None:
-            return result if is_less else None
+            return result if is_any_gone else None
         names = {estimate.name for estimate in wrong}
         beside = [e for e in placed_estimates(result).values() if e.name not in names]
         items = {name: item for name, item in placed_items(result).items() if name not in names}
@@ -95,7 +95,7 @@ class FurtherRounds:
                 plan = replace(self._plan(result, wrong, items), obstacles=result.obstacles)
         except (ManipulationError, PerceptionError) as error:
             logger.info("%s cannot be placed again: %s", ", ".join(sorted(names)), error)
-            return result if is_less else None
+            return result if is_any_gone else None
         again = self._carry_out(result, wrong, plan, beside, result.obstacles, result.detections)
         return as_first_seen(again, result)
 

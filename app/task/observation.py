@@ -48,7 +48,7 @@ GOAL_REGION: Region = ((0.05, 0.85), (0.06, 0.62))  # [m] of the table on the si
 SEARCH_VIEWS = 4  # images of a search
 NEIGHBOURHOOD = 0.2  # [m] between the axes of an object and of others that may explain depth beside it
 MIN_PIXELS = 1500  # visible pixels of an object in one image, for a decision
-SHARED = RefitConfig(min_own=0.0)  # what is measured of an object may be explained by another one as well
+UNMOVED = RefitConfig(min_own=0.0)  # of an object at its pose in the object map
 MAX_TILT = np.deg2rad(20)  # of a pose that is fitted to an object that stood level
 
 
@@ -290,9 +290,9 @@ class WristObserver:
     def _check(self, name: str, poses: Poses, frames: Sequence[RgbdFrame]) -> PoseCheck:
         estimate, T_expected = self._estimates[name], self._object_pose(name, poses)
         others = self._others(name, poses, NEIGHBOURHOOD)
-        # Where it was found, it was told apart from others already, with all that was measured of it.
+        # At its pose in the object map, reconstruction has attributed the pixels to it already.
         is_unmoved = np.allclose(T_expected, estimate.T_world_object, atol=1e-3)
-        config = SHARED if is_unmoved else RefitConfig()
+        config = UNMOVED if is_unmoved else RefitConfig()
         return refit_pose(estimate, frames, T_expected, others, config=config)
 
     def _others(self, name: str, poses: Poses, distance: float) -> list[ObjectEstimate]:

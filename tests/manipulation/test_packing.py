@@ -11,6 +11,7 @@ from manipulation.grasps import grasp_candidates
 from manipulation.nesting import nest_heights, nests, radial_profile, radial_surfaces, stack_bowls
 from manipulation.packing import admissible_yaws, nest_drop, pack
 from manipulation.packing_problem import PackingConfig
+from manipulation.pick_place import PickPlaceConfig
 from manipulation.release_clearance import ReleasePose, count_free_releases
 from manipulation.robot import GripperGeometry
 from manipulation.standing import to_standing
@@ -170,6 +171,12 @@ def test_nested_bowls_are_released_with_the_finger_above_all_rims(shapes):
         assert nest_drop([large, small], depth, CONFIG, hand) == pytest.approx(expected)
     assert nest_drop([large, small], 0.1, CONFIG, hand) == CONFIG.max_drop
     assert nest_drop([small, large], -0.1, CONFIG, hand) == CONFIG.release_height
+
+
+def test_nests_leave_room_for_the_widest_release():
+    config = PickPlaceConfig()
+    widest = config.grasp.release_gap + max(config.segments.release_extras)
+    assert CONFIG.nest_opening == pytest.approx(widest)
 
 
 def test_a_much_smaller_bowl_is_released_between_the_walls_of_the_one_below(shapes):
