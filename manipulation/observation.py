@@ -65,6 +65,18 @@ class SceneObserver(Protocol):
         """
         ...
 
+    def held(
+        self, name: str, poses: Poses, T_world_tcp: Float[np.ndarray, "4 4"]
+    ) -> Float[np.ndarray, "4 4"] | None:
+        """Return T_world_stand of the object in the hand from one image, without a motion; None if not seen.
+
+        Args:
+            name: the object.
+            poses: expected poses of all objects; of those in the hand, if nothing has shifted there.
+            T_world_tcp: (4, 4) pose of the TCP.
+        """
+        ...
+
     def find(self, name: str, poses: Poses) -> Finding:
         """Move the camera and search for an object: first where it is expected, then on the whole table."""
         ...
@@ -96,6 +108,9 @@ class NoObserver:
     ) -> Float[np.ndarray, "n 3"]:
         return np.zeros((0, 3))
 
+    def held(self, name: str, poses: Poses, T_world_tcp: Float[np.ndarray, "4 4"]) -> None:
+        return None
+
     def find(self, name: str, poses: Poses) -> Finding:
         return Finding("unseen")
 
@@ -113,18 +128,26 @@ def classify_grip(width: float, grasp: Grasp) -> Grip:
 
 
 def is_displaced(
-    T_expected: Float[np.ndarray, "4 4"], T_seen: Float[np.ndarray, "4 4"], moved: float = MOVED
+    T_expected: Float[np.ndarray, "4 4"],
+    T_seen: Float[np.ndarray, "4 4"],
+    moved: float = MOVED,
+    tipped: float = TIPPED,
 ) -> bool:
-    """Return whether an object is not where it was expected: shifted, or its axis turned.
+    """Return whether an object is not where it was expected: shifted by ``moved`` [m], or its axis turned.
 
     A rotation about its axis and a difference in height do not count: they are uncertain for round objects
     and for those on others. The axis of an object on its side may turn less: fingers that close on a neck
     meet it elsewhere.
+
+    Args:
+        T_expected, T_seen: (4, 4) poses T_world_stand.
+        moved: horizontal shift in [m].
+        tipped: turn of the axis in [rad].
     """
     shift = float(np.linalg.norm((T_seen - T_expected)[:2, 3]))
     turn = float(np.arccos(np.clip(T_seen[:3, 2] @ T_expected[:3, 2], -1.0, 1.0)))
     is_on_side = abs(T_expected[2, 2]) < np.sqrt(0.5)
-    return shift > moved or bool(turn > (min(TIPPED, moved / LEVER) if is_on_side else TIPPED))
+    return shift > moved or bool(turn > (min(tipped, moved / LEVER) if is_on_side else tipped))
 
 
 def is_turned(

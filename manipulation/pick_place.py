@@ -26,7 +26,7 @@ from manipulation.plan_timing import PlanTiming
 from manipulation.planning_scene import PlanningScene, SceneState
 from manipulation.reach import reaches_any
 from manipulation.reorientation import rolled
-from manipulation.trajectories import MotionConfig
+from manipulation.trajectories import MotionConfig, concatenate
 from manipulation.types import Grasp, GraspSet, PickPlacePlan, Placement, Rejected, StandingObject
 from perception.geometry import pose_from_yaw
 from perception.obstacles.obstacle import PerceivedObstacle
@@ -194,6 +194,39 @@ class PickPlacePlanner:
             raise NoPlanError(tally.failure_message(name, candidates), tally.in_the_way, tally.is_enclosed)
         return min(plans, key=lambda plan: plan.duration)
 
+    def lowered_as_held(
+        self, plan: PickPlacePlan, T_stand_tcp: Float[np.ndarray, "4 4"], q: Float[np.ndarray, "n"]
+    ) -> PickPlacePlan | None:
+        """Return a plan with the rest of the way for an object that is held otherwise than it was planned.
+
+        Args:
+            plan: the plan, carried out up to the end of ``carry``.
+            T_stand_tcp: (4, 4) TCP pose in the stand frame, as the object is held.
+            q: (n,) present posture in [rad].
+
+        Returns:
+            The plan; None if no yaw at the goal is feasible.
+        """
+        grasp = plan.grasp.held_at(T_stand_tcp)
+        pick = Pick(grasp, plan.approach.positions, q[None])
+        T_now = self.kinematics.forward(q) @ np.linalg.inv(T_stand_tcp)
+        with self.scene.world.containing(plan.name, plan.contents):
+            way = self._way_to_goal(pick, plan.placement, T_now, Tally())
+            if way is None:
+                return None
+            place, goal, path = way
+            carry = PlanTiming(self.motions).carry(goal.item, grasp, path)
+        return replace(
+            plan,
+            grasp=grasp,
+            T_world_stand_goal=place.T_world_stand_goal,
+            T_world_stand_rest=goal.T_world_stand_rest,
+            release_opening=place.release_opening,
+            lowering=concatenate([carry, self.motions.time_line(place.lowering, "carried")]),
+            settle=None if place.settle is None else self.motions.time_line(place.settle),
+            retreat=self.motions.time_line(place.retreat),
+        )
+
     def can_pick(
         self, name: str, T_world_stand: Float[np.ndarray, "4 4"], grasps: GraspSet | None = None
     ) -> bool:
@@ -252,13 +285,26 @@ class PickPlacePlanner:
 
         A yaw to which the object is carried level is preferred.
         """
-        name, grasp = placement.name, pick.grasp
-        c = self.config
         if placement.T_goal_stand is not None:
-            T_goal_stand = rolled(self.scene.items[name], placement.T_goal_stand, grasp.away)
+            T_goal_stand = rolled(self.scene.items[placement.name], placement.T_goal_stand, pick.grasp.away)
             placement = replace(placement, T_goal_stand=T_goal_stand)
+        way = self._way_to_goal(pick, placement, self.scene.pose(placement.name), tally)
+        return None if way is None else self._with_start(pick, *way, q_start, tally)
+
+    def _way_to_goal(
+        self, pick: Pick, placement: Placement, T_now: Float[np.ndarray, "4 4"], tally: Tally
+    ) -> tuple[Place, PlaceGoal, list[Float[np.ndarray, "n"]]] | None:
+        """Return place, goal and path of the first feasible yaw from the end of a lift, if there is one.
+
+        Args:
+            pick: how the object is held, and where the arm is.
+            placement: goal of the object.
+            T_now: (4, 4) T_world_stand, from which the hand should turn little.
+            tally: counts what is discarded.
+        """
+        name, grasp, margins = placement.name, pick.grasp, self.config.transit_margins
         swinging: tuple[Place, PlaceGoal, list[Float[np.ndarray, "n"]]] | None = None
-        T_now, T_goal = self.scene.pose(name), self.resting_pose(placement, 0.0)
+        T_goal = self.resting_pose(placement, 0.0)
         for yaw in ordered_yaws(T_now, T_goal, grasp.T_stand_tcp, placement):
             T_rest = self.resting_pose(placement, yaw)
             goal = PlaceGoal(self.scene.items[name], placement, T_rest)
@@ -267,17 +313,17 @@ class PickPlacePlanner:
                 tally.reject(place)
                 continue
             self.scene.world.carry(name, np.linalg.inv(grasp.T_stand_tcp))
-            ends, width, margins = (pick.lift[-1], place.lowering[0]), grasp.held_width, c.transit_margins
-            carrying = self.motions.carrying_path(*ends, width, margins)
+            ends = pick.lift[-1], place.lowering[0]
+            carrying = self.motions.carrying_path(*ends, grasp.held_width, margins)
             if carrying is None:
                 if swinging is None:
                     tally.reject(Rejected("without a collision-free path to the goal"))
                 continue
-            carry, is_level = carrying
+            path, is_level = carrying
             if is_level:
-                return self._with_start(pick, place, goal, carry, q_start, tally)
-            swinging = swinging or (place, goal, carry)
-        return self._with_start(pick, *swinging, q_start, tally) if swinging else None
+                return place, goal, path
+            swinging = swinging or (place, goal, path)
+        return swinging
 
     def _with_start(
         self,
@@ -309,7 +355,6 @@ class PickPlacePlanner:
         """Return the plan with trajectories for all motions."""
         moves = np.abs(start[0] - start[-1]).max() > 1e-6
         timing = PlanTiming(self.motions)
-        carry, transfer = timing.transfer(goal.item, pick.grasp, way, place.lowering)
         return PickPlacePlan(
             name=goal.item.name,
             grasp=pick.grasp,
@@ -320,8 +365,8 @@ class PickPlacePlanner:
             transit=timing.transit(start, pick.grasp.opening) if moves else None,
             approach=self.motions.time_line(pick.approach),
             lift=self.motions.time_line(pick.lift, "carried"),
-            transfer=transfer,
-            carry=carry,
+            carry=timing.carry(goal.item, pick.grasp, way),
+            lowering=self.motions.time_line(place.lowering, "carried"),
             settle=None if place.settle is None else self.motions.time_line(place.settle),
             retreat=self.motions.time_line(place.retreat),
         )

@@ -1,7 +1,7 @@
-"""Execution of one pick-and-place plan with its checks: look, grasp, lift, transfer, release, look.
+"""Execution of one pick-and-place plan with its checks: look, grasp, lift, carry, look, lower, release, look.
 
 The width between the fingers tells whether the object is held; an image from above, whether it is where it
-was expected before the grasp and after the release.
+was expected before the grasp and after the release, and how it is held before it is lowered.
 """
 
 from __future__ import annotations
@@ -40,6 +40,9 @@ _ABOVE = 0.003  # [m] by which the base of an object is above that of one that c
 _BESIDE = 0.02  # [m] from a lifted object, from which on a measured point is not of it
 _HANGING = 1000  # of these points, from which on something hangs on it
 _INSIDE = 0.004  # [m] by which a point is in the way of the hand at least, which covers noise
+# [m], [rad] in the hand, from which on an object is lowered as it is held: it would arrive beside its goal,
+# or with one side of its base first.
+_SHIFTED, _TURNED = 0.006, np.deg2rad(6.0)
 _SLIP = 0.005  # [m] by which the fingers close further during the lift, from which on they lose an object
 # [m] from its goal, from which on a released object is grasped again: in a box, and in a row.
 MISPLACED, OFF_ROW = 0.02, 0.012
@@ -143,12 +146,14 @@ class PlanExecution:
         self._require_alone(plan)
         self._notify("transfer", name)
         try:
-            robot.follow(plan.transfer)
+            robot.follow(plan.carry)
+            plan = self._as_held(plan)
+            robot.follow(plan.lowering)
         except RobotError as error:
             self.recovery.bring_back(plan)
             raise GoalBlockedError(str(error)) from error
         self._notify("place", name)
-        self._require_held(grasp, f"{name} was lost during the transfer")
+        self._require_held(plan.grasp, f"{name} was lost during the transfer")
         self._release(plan)
         for moved, T in plan.poses_after(self.scene.poses()).items():
             self.scene.moved(moved, T)
@@ -257,6 +262,25 @@ class PlanExecution:
 
         unknown = self.observer.unexpected(poses, self.scene.perceived_obstacles, is_beside)
         return len(unknown) >= _HANGING
+
+    def _as_held(self, plan: PickPlacePlan) -> PickPlacePlan:
+        """Return the plan with another way down if an image shows that the object has shifted in the hand.
+
+        The pads align themselves with a slanted wall, and a round body slides along them. Where no other way
+        is free, the object is lowered as planned.
+        """
+        q = self.robot.joint_positions()
+        T_world_tcp = self.planner.kinematics.forward(q)
+        T_expected, now = T_world_tcp @ invert(plan.grasp.T_stand_tcp), dict(self.scene.poses())
+        moved = T_expected @ invert(now[plan.name])
+        for name in (plan.name, *plan.contents):
+            now[name] = moved @ now[name]
+        T_seen = self.observer.held(plan.name, now, T_world_tcp)
+        if T_seen is None or not is_displaced(T_expected, T_seen, _SHIFTED, _TURNED):
+            return plan
+        lowered = self.planner.lowered_as_held(plan, invert(T_seen) @ T_world_tcp, q)
+        logger.info("%s has shifted in the hand%s", plan.name, ", with no other way down" * (lowered is None))
+        return lowered or plan
 
     def _carriers(self, plan: PickPlacePlan) -> tuple[str, ...]:
         """Return the names of the objects in or on which an object of a plan stands.

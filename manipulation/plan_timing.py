@@ -36,20 +36,15 @@ class PlanTiming:
         moves = [joint_move(begin, end, limits) for begin, end in pairwise(path)]
         return blended(moves, limits, lambda around: self._is_free(around, width))
 
-    def transfer(
-        self,
-        item: StandingObject,
-        grasp: Grasp,
-        path: Sequence[Float[np.ndarray, "n"]],
-        lowering: Float[np.ndarray, "k n"],
-    ) -> tuple[JointTrajectory, JointTrajectory]:
-        """Return the motion of a carried object along a path [rad], and the same with its lowering.
+    def carry(
+        self, item: StandingObject, grasp: Grasp, path: Sequence[Float[np.ndarray, "n"]]
+    ) -> JointTrajectory:
+        """Return the motion of a carried object along a path [rad].
 
         Args:
             item: the object; it is in the hand meanwhile, and the hand of the world is empty afterwards.
             grasp: how it is held.
             path: waypoints of joint moves.
-            lowering: postures along the straight line from the end of the path.
         """
         motions = self._motions
         limits, kinematics = motions.limits, motions.kinematics
@@ -63,9 +58,7 @@ class PlanTiming:
 
         motions.world.carry(item.name, T_tcp_stand)
         try:
-            moves = carrying_moves(kinematics, path, centre_in_hand, limits)
-            carry = blended(moves, limits, allows)
-            return carry, blended([carry, motions.time_line(lowering, "carried")], limits, allows)
+            return blended(carrying_moves(kinematics, path, centre_in_hand, limits), limits, allows)
         finally:
             motions.world.release()
 

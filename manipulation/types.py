@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -170,6 +170,11 @@ class Grasp:
         T[:3, 3] -= self.stand_off * T[:3, 1]
         return T
 
+    def held_at(self, T_stand_tcp: Float[np.ndarray, "4 4"]) -> Grasp:
+        """Return the grasp of an object that has shifted in the hand, which retreats as before."""
+        turn = T_stand_tcp[:3, :3] @ self.T_stand_tcp[:3, :3].T
+        return replace(self, T_stand_tcp=T_stand_tcp, away=turn @ self.away)
+
 
 RIMMED: tuple[Category, ...] = ("mug", "bowl")  # classes that are grasped at their rims
 TOO_WIDE = "too wide"  # how the reasons of grasps that exceed the opening begin
@@ -261,8 +266,8 @@ class PickPlacePlan:
             None if there is none.
         approach: straight motion from there to the grasp.
         lift: vertical motion from the grasp.
-        transfer: motion from there to a point above the goal and down to the goal.
-        carry: its first part, with a stop above the goal.
+        carry: motion from there to a point above the goal.
+        lowering: motion from there down to the goal, the last part of it straight.
         settle: short descent with loosened pads, so that a lip or cap comes off a pad; None if not needed.
         retreat: motion away from the released object.
         contents: names of what stays in the object while it is carried.
@@ -277,8 +282,8 @@ class PickPlacePlan:
     transit: JointTrajectory | None
     approach: JointTrajectory
     lift: JointTrajectory
-    transfer: JointTrajectory
     carry: JointTrajectory
+    lowering: JointTrajectory
     settle: JointTrajectory | None
     retreat: JointTrajectory
     contents: tuple[str, ...] = ()
@@ -286,7 +291,7 @@ class PickPlacePlan:
     @property
     def duration(self) -> float:
         """Total duration of the motions in [s]."""
-        parts = (self.transit, self.approach, self.lift, self.transfer, self.settle, self.retreat)
+        parts = (self.transit, self.approach, self.lift, self.carry, self.lowering, self.settle, self.retreat)
         return sum(part.duration for part in parts if part is not None)
 
     def poses_after(

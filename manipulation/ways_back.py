@@ -73,8 +73,8 @@ def reversed_way(
         q: present posture in [rad]; there is no such way unless the object was being lowered.
         motions: motions in the world as it is known.
     """
-    reached = int(np.abs(plan.transfer.positions - q).max(axis=1).argmin())
-    if reached < len(plan.carry.positions):
+    carried, lowered = (np.abs(way.positions - q).max(axis=1).min() for way in (plan.carry, plan.lowering))
+    if carried <= lowered:
         return []
     q_above = plan.carry.positions[-1]
     up = line_postures(motions.kinematics, q, motions.kinematics.forward(q_above), motions.config)

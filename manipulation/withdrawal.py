@@ -140,6 +140,11 @@ class WithdrawingObserver:
     ) -> Float[np.ndarray, "n 3"]:
         return self._observer.unexpected(poses, obstacles, region)
 
+    def held(
+        self, name: str, poses: Poses, T_world_tcp: Float[np.ndarray, "4 4"]
+    ) -> Float[np.ndarray, "4 4"] | None:
+        return self._observer.held(name, poses, T_world_tcp)
+
     def find(self, name: str, poses: Poses) -> Finding:
         return self._observer.find(name, poses) if self._withdrawal.rise() else Finding("unseen")
 

@@ -29,6 +29,7 @@ from perception.geometry import levelled, nearest_yaw, pose_from_yaw
 from perception.inference.depth_votes import Region, SearchScene
 from perception.inference.handle import turned_to_handle
 from perception.inference.handle_depth import shows_handle
+from perception.inference.held_pose import refit_held
 from perception.inference.pose_search import RefitConfig
 from perception.inference.refit import STANDING, PoseCheck, refit_leaning, refit_pose
 from perception.inference.relocate import relocate
@@ -113,6 +114,15 @@ class WristObserver:
         points = points_of(frame, frame.depth > 0)
         points = points[region(points)]
         return self._find_unexplained(points, self._at(poses), obstacles)
+
+    def held(
+        self, name: str, poses: Poses, T_world_tcp: Float[np.ndarray, "4 4"]
+    ) -> Float[np.ndarray, "4 4"] | None:
+        frames = [self._scanner.look(color=False)]
+        others = self._others(name, poses, NEIGHBOURHOOD)
+        check = refit_held(self._estimates[name], frames, self._object_pose(name, poses), T_world_tcp, others)
+        is_seen = check.status == "seen" and check.visible_pixels >= MIN_PIXELS
+        return self._stand_pose(name, check) if is_seen else None
 
     def find(self, name: str, poses: Poses) -> Finding:
         try:

@@ -118,7 +118,7 @@ class CellRecorder(RunObserver):
     def _path(self, plan: PickPlacePlan) -> Float[np.ndarray, "n 3"]:
         """Return points of the tool's path, in metres."""
         points = []
-        for motion in (plan.transit, plan.approach, plan.lift, plan.transfer, plan.retreat):
+        for motion in (plan.transit, plan.approach, plan.lift, plan.carry, plan.lowering, plan.retreat):
             if motion is None:
                 continue
             rows = np.linspace(0, len(motion.positions) - 1, PATH_POINTS).astype(int)

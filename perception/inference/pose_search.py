@@ -175,22 +175,29 @@ class PoseSearch:
         return pose
 
     def _evaluate(self, pose: ObjectPose, reach: float) -> Evaluation:
-        config = self.config
+        measured = self.linearised(pose, reach)
+        normal = pose.rotation.T @ self.plane.normal
+        upright = np.zeros((2, 6), np.float32)
+        upright[:, :3] = hat(normal)[:2]
+        return Evaluation(
+            np.concatenate([measured.residuals, normal[:2]]),
+            np.concatenate([measured.jacobian, upright]),
+            np.concatenate([measured.weights, np.full(2, self.config.tilt_sigma**-2)]),
+        )
+
+    def linearised(self, pose: ObjectPose, reach: float) -> Evaluation:
+        """Return the depth residuals [m] at a pose and their derivative with respect to (omega, v).
+
+        Pixels without weight are those off the object, beyond ``reach`` [m], or explained by another object.
+        """
         A = canonical_from_camera(pose, self.cameras)
         image = render(self.shape, self.rays, A)
         jacobian = pose_jacobian(pose, A, self.rays, image)[:, :6]
         residual = image.depth - self.measured
         own = (image.mask > 0.7) & (np.abs(residual) < reach) & (np.abs(residual) <= self.explained + 0.002)
-        sigma2 = image.variance + config.depth_sigma**2
+        sigma2 = image.variance + self.config.depth_sigma**2
         robust = np.minimum(1.0, 2 * np.sqrt(sigma2) / np.maximum(np.abs(residual), 1e-9))
-        normal = pose.rotation.T @ self.plane.normal
-        upright = np.zeros((2, 6), np.float32)
-        upright[:, :3] = hat(normal)[:2]
-        return Evaluation(
-            np.concatenate([residual, normal[:2]]),
-            np.concatenate([jacobian, upright]),
-            np.concatenate([own * robust / sigma2, np.full(2, config.tilt_sigma**-2)]),
-        )
+        return Evaluation(residual, jacobian, own * robust / sigma2)
 
     def evidence(self, pose: ObjectPose, alone: bool = False) -> tuple[float, float]:
         """Return the numbers of full-image pixels that agree with the object and that measure behind it.

@@ -142,7 +142,7 @@ def test_all_objects_are_placed_at_their_goals(packing, arm):
         assert outcome.T_world_stand[:2, 3] == pytest.approx(goals[outcome.name].position[:2])
         plan = watcher.plans[outcome.name]
         T_tcp = plan.T_world_stand_goal @ plan.grasp.T_stand_tcp
-        assert kinematics.forward(plan.transfer.positions[-1]) == pytest.approx(T_tcp, abs=2e-3)
+        assert kinematics.forward(plan.lowering.positions[-1]) == pytest.approx(T_tcp, abs=2e-3)
         assert plan.duration > 2
         assert (plan.settle is not None) == (outcome.name == "bowl_2"), (
             "a bowl on the floor may hang on a pad"
@@ -200,7 +200,7 @@ def test_motions_are_free_of_contact_in_the_planners_world(packing, arm):
     world.carry("can_1", np.linalg.inv(grasp.T_stand_tcp))
     held = grasp.held_width
     floor = AllowedContacts(touch_carried=frozenset({"table", "box_floor"}), carried_margin=0.0)
-    way = np.concatenate([plan.lift.positions, plan.transfer.positions])[::20]
+    way = np.concatenate([plan.lift.positions, plan.carry.positions, plan.lowering.positions])[::20]
     assert world.path_contact(way, held, floor) is None
 
 
@@ -208,15 +208,17 @@ class FakeObserver:
     """Reports what ``presence`` lists, then objects in place; finds objects where ``poses`` says.
 
     ``closer`` lists what closer looks at stacks show, each by name; after them, nothing. Nothing hangs in the
-    air but ``lifted``. ``unknown`` are the points that nothing known explains.
+    air but ``lifted``. ``unknown`` are the points that nothing known explains. What is in the hand is seen
+    ``shifted`` in the world, or not at all.
     """
 
     lifted = ()
     unknown = np.zeros((0, 3))
+    shifted = None
 
     def __init__(self, presence=(), **findings):
         self.presence, self.findings, self.searched = list(presence), findings, []
-        self.closer, self.looked_at = [], []
+        self.closer, self.looked_at, self.asked_in_hand = [], [], []
         self.obstacles = []  # things of no class that each look at the table shows
 
     def glance(self, poses, names):
@@ -226,6 +228,10 @@ class FakeObserver:
 
     def unexpected(self, poses, obstacles, region):
         return self.unknown[region(self.unknown)]
+
+    def held(self, name, poses, T_world_tcp):
+        self.asked_in_hand.append((name, dict(poses), T_world_tcp))
+        return None if self.shifted is None else self.shifted @ poses[name]
 
     def find(self, name, poses):
         self.searched.append(name)
@@ -495,7 +501,7 @@ def test_what_met_something_on_its_way_is_placed_elsewhere(packing, arm):
 def test_a_stopped_robot_ends_the_task_and_keeps_what_was_placed(packing, arm):
     class Stopping(FakeRobot):
         def follow(self, trajectory):
-            if len(self.motions) == 6:  # in the second object
+            if len(self.motions) == 8:  # in the second object
                 raise RobotStoppedError("a person is near")
             super().follow(trajectory)
 
@@ -504,7 +510,7 @@ def test_a_stopped_robot_ends_the_task_and_keeps_what_was_placed(packing, arm):
     assert len(outcomes) == len(packing.placements) and outcomes[0].placed
     assert {outcome.reason for outcome in outcomes[1:]} == {"a person is near"}
     assert [outcome.attempts for outcome in outcomes[1:]] == [1, *[0] * (len(outcomes) - 2)]
-    assert len(robot.motions) == 6
+    assert len(robot.motions) == 8
 
 
 def test_object_lost_during_the_transfer_is_detected(packing, arm):

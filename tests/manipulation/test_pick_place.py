@@ -59,7 +59,7 @@ def test_transit_avoids_obstacles_with_the_hand_and_the_carried_object(kinematic
     touch_can = AllowedContacts(frozenset({"can_1"}), robot_margin=0.9 * margin)
     assert world.path_contact(plan.approach.positions[::20], plan.grasp.opening, touch_can) is None
     world.carry("can_1", np.linalg.inv(plan.grasp.T_stand_tcp))
-    lifted = plan.transfer.positions[::20]
+    lifted = np.concatenate([plan.carry.positions, plan.lowering.positions])[::20]
     assert world.path_contact(lifted, plan.grasp.held_width, AllowedContacts(carried_margin=0.0)) in (
         None, world.contact(lifted[-1], plan.grasp.held_width, AllowedContacts(carried_margin=0.0)),
     )  # fmt: skip
@@ -98,8 +98,9 @@ def plan_of(duration):
         return JointTrajectory(1.0, zeros, zeros, zeros)
 
     plan = object.__new__(PickPlacePlan)
-    for name, steps in (("approach", duration), ("lift", 0), ("transfer", 0), ("retreat", 0)):
-        object.__setattr__(plan, name, still(int(steps)))
+    object.__setattr__(plan, "approach", still(int(duration)))
+    for name in ("lift", "carry", "lowering", "retreat"):
+        object.__setattr__(plan, name, still(0))
     object.__setattr__(plan, "settle", None)
     object.__setattr__(plan, "transit", None)
     return plan

@@ -14,11 +14,12 @@ from manipulation.errors import (
 )
 from manipulation.kinematics import Kinematics
 from manipulation.observation import Finding
+from manipulation.obstacles import TABLE, Obstacle
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.plan_execution import MISPLACED, OFF_ROW, PlanExecution
 from manipulation.standing import to_standing
 from manipulation.types import Placement
-from perception.geometry import pose_from_yaw
+from perception.geometry import invert, pose_from_yaw, so3_exp
 from tests.manipulation.test_execution import CONFIG, FakeObserver, FakeRobot
 
 
@@ -53,7 +54,9 @@ def test_the_steps_of_a_plan(cell, plan):
     robot, planner, phases, execution = cell()
     execution.run(plan)
     assert phases == ["approach", "grasp", "transfer", "place", "retreat"]
-    assert robot.motions == [plan.transit, plan.approach, plan.lift, plan.transfer, plan.retreat]
+    assert robot.motions == [
+        plan.transit, plan.approach, plan.lift, plan.carry, plan.lowering, plan.retreat,
+    ]  # fmt: skip
     assert robot.widths[:2] == [plan.grasp.opening, 0.0]
     np.testing.assert_array_equal(planner.scene.pose("can_1"), plan.T_world_stand_rest)
 
@@ -238,3 +241,53 @@ def test_a_mug_that_was_turned_when_it_was_released(cell, plan, category, turn, 
     else:
         execution.run(plan)
     np.testing.assert_array_equal(planner.scene.pose("can_1"), seen)
+
+
+def shift_in_world(x, tilt, about):
+    """A shift along x [m] with a tilt about y [rad] through a point."""
+    T = np.eye(4)
+    T[:3, :3] = so3_exp(np.array([0.0, tilt, 0.0]))
+    T[:3, 3] = about - T[:3, :3] @ about + (x, 0.0, 0.0)
+    return T
+
+
+@pytest.mark.parametrize(("x", "degrees"), [(0.009, 0.0), (0.0, 8.0), (-0.01, -7.0)])
+def test_an_object_that_has_shifted_in_the_hand_is_lowered_as_it_is_held(cell, plan, x, degrees):
+    """The hand, not the object, arrives beside where it was planned."""
+    robot, planner, _, execution = cell()
+    forward = planner.kinematics.forward
+    above = forward(plan.carry.positions[-1])
+    shift = shift_in_world(x, np.deg2rad(degrees), above[:3, 3])
+    execution.observer.shifted = shift
+    execution.run(plan)
+    carry, lowering = robot.motions[3:5]
+    assert carry is plan.carry
+    T_tcp_stand = invert(above) @ shift @ above @ invert(plan.grasp.T_stand_tcp)
+    T_released = forward(lowering.positions[-1]) @ T_tcp_stand
+    np.testing.assert_allclose(T_released, plan.T_world_stand_goal, atol=2e-3)
+    np.testing.assert_array_equal(planner.scene.pose("can_1"), plan.T_world_stand_rest)
+    name, poses, T_world_tcp = execution.observer.asked_in_hand[0]
+    np.testing.assert_allclose(T_world_tcp, above)
+    np.testing.assert_allclose(poses[name] @ plan.grasp.T_stand_tcp, above, atol=1e-9)
+    assert planner.scene.world.contact(carry.positions[-1], plan.grasp.held_width) is None, "nothing carried"
+
+
+@pytest.mark.parametrize(("x", "degrees"), [(0.005, 0.0), (0.0, 5.0), (None, None)])
+def test_an_object_that_is_held_as_planned_or_not_seen_is_lowered_as_planned(cell, plan, x, degrees):
+    robot, planner, _, execution = cell()
+    about = planner.kinematics.forward(plan.carry.positions[-1]) @ invert(plan.grasp.T_stand_tcp)
+    if x is not None:
+        execution.observer.shifted = shift_in_world(x, np.deg2rad(degrees), about[:3, 3])
+    execution.run(plan)
+    assert robot.motions[4] is plan.lowering
+
+
+def test_an_object_that_has_shifted_goes_down_as_planned_where_no_other_way_is_free(item, arm, plan):
+    x, y = plan.T_world_stand_goal[:2, 3]
+    there = Obstacle("there", (x, y, 0.02), (0.02, 0.02, 0.02))
+    planner = PickPlacePlanner(Kinematics(arm), {"can_1": item}, (TABLE, there), CONFIG.pick_place)
+    robot, observer = FakeRobot(arm, [plan.grasp.held_width]), FakeObserver()
+    held = planner.kinematics.forward(plan.carry.positions[-1]) @ invert(plan.grasp.T_stand_tcp)
+    observer.shifted = shift_in_world(0.01, 0.0, held[:3, 3])
+    PlanExecution(robot, planner, observer, CONFIG, lambda *args, **options: None).run(plan)
+    assert robot.motions[4] is plan.lowering

@@ -67,7 +67,7 @@ def test_a_plan_made_ahead_is_the_one_that_would_be_made_afterwards(task, planne
     again = planner.plan(following, end(present))
     assert plan.grasp == again.grasp
     np.testing.assert_allclose(plan.transit.positions, again.transit.positions, atol=1e-6)
-    np.testing.assert_allclose(plan.transfer.positions, again.transfer.positions, atol=1e-6)
+    np.testing.assert_allclose(plan.lowering.positions, again.lowering.positions, atol=1e-6)
     assert ahead.take(following, end(present)) is None, "it is used once"
 
 

@@ -34,12 +34,12 @@ def plan(item, arm):
 
 
 class MeetsSomething(FakeRobot):
-    """Stops on the way of its transfer, at a share of its samples."""
+    """Stops on the way down to its goal, or to above that, at a share of its samples."""
 
-    share = 0.9
+    before, share = 4, 0.8
 
     def follow(self, trajectory):
-        if len(self.motions) == 3 and self.share:
+        if len(self.motions) == self.before and self.share:
             self.q = trajectory.positions[int(self.share * len(trajectory.positions))].copy()
             self.share = 0.0
             raise RobotError("the arm is blocked")
@@ -51,21 +51,21 @@ def test_an_object_that_meets_something_is_brought_back_in_the_hand(item, arm, p
     execution = PlanExecution(robot, planner, FakeObserver(), CONFIG, lambda *args, **options: None)
     with pytest.raises(RobotError, match="blocked"):
         execution.run(plan)
-    up, _, back = robot.motions[3:]
+    up, _, back = robot.motions[4:]
     heights = [Kinematics(arm).forward(q)[2, 3] for q in (up.positions[0], up.positions[-1])]
     assert heights[1] > heights[0] + 0.005
     assert robot.q == pytest.approx(plan.lift.positions[0]), "where it was grasped"
-    assert back.duration < plan.transfer.duration + plan.lift.duration
+    assert back.duration < plan.carry.duration + plan.lowering.duration + plan.lift.duration
     assert robot.widths == [plan.grasp.opening, 0.0], "the hand stays closed on the way"
 
 
 class MeetsItAgain(MeetsSomething):
-    """Stops again on the way back along the transfer."""
+    """Stops again on the way back as it came."""
 
     again = True
 
     def follow(self, trajectory):
-        if len(self.motions) == 4 and self.again:
+        if len(self.motions) == 5 and self.again:
             self.again = False
             raise RobotError("the arm is blocked")
         super().follow(trajectory)
@@ -77,16 +77,16 @@ def test_where_the_way_back_is_blocked_another_one_is_planned(item, arm, plan):
     with pytest.raises(RobotError, match="blocked"):
         execution.run(plan)
     assert robot.q == pytest.approx(plan.lift.positions[0]), "where it was grasped"
-    assert len(robot.motions) == 7 and robot.widths == [plan.grasp.opening, 0.0]
+    assert len(robot.motions) == 8 and robot.widths == [plan.grasp.opening, 0.0]
     assert planner.scene.world.contact(plan.lift.positions[-1], plan.grasp.held_width) is None, (
         "nothing is carried"
     )
 
 
-def blocked_beside(item, beside, arm, plan, share=0.9, observer=None):
+def blocked_beside(item, beside, arm, plan, blocked=(4, 0.8), observer=None):
     """Execute a plan that is blocked, of a can that stands beside another one."""
     robot = MeetsSomething(arm, [plan.grasp.held_width])
-    robot.share = share
+    robot.before, robot.share = blocked
     planner = PickPlacePlanner(Kinematics(arm), {"can_1": item, "can_2": beside}, config=CONFIG.pick_place)
     execution = PlanExecution(
         robot, planner, observer or FakeObserver(), CONFIG, lambda *args, **options: None
@@ -96,10 +96,10 @@ def blocked_beside(item, beside, arm, plan, share=0.9, observer=None):
     return robot, planner
 
 
-@pytest.mark.parametrize("share", [0.9, 0.5])
-def test_among_others_it_is_set_down_where_there_is_room(item, beside, arm, plan, share):
+@pytest.mark.parametrize("blocked", [(4, 0.8), (3, 0.6)])
+def test_among_others_it_is_set_down_where_there_is_room(item, beside, arm, plan, blocked):
     """It may have turned in the hand, and would knock over what it stood beside."""
-    robot, planner = blocked_beside(item, beside, arm, plan, share)
+    robot, planner = blocked_beside(item, beside, arm, plan, blocked)
     T = planner.scene.pose("can_1")
     reach = np.linalg.norm(item.vertices - plan.grasp.T_stand_tcp[:3, 3], axis=1).max()
     clear = (
@@ -130,7 +130,7 @@ class MeetsTheTable(MeetsSomething):
     """Is blocked once more while an object is lowered to the table."""
 
     def follow(self, trajectory):
-        if len(self.motions) == 5:
+        if len(self.motions) == 6:
             self.q = trajectory.positions[len(trajectory.positions) // 2].copy()
             self.motions.append(trajectory)
             raise RobotError("the arm is blocked")
@@ -144,5 +144,5 @@ def test_what_touches_the_table_early_is_left_there(item, beside, arm, plan):
     execution = PlanExecution(robot, planner, FakeObserver(), CONFIG, lambda *args, **options: None)
     with pytest.raises(RobotError, match="blocked"):
         execution.run(plan)
-    assert len(robot.motions) == 6, "no further way is tried"
+    assert len(robot.motions) == 7, "no further way is tried"
     assert np.linalg.norm((planner.scene.pose("can_1") - item.T_world_stand)[:2, 3]) > 0.05

@@ -334,3 +334,27 @@ def test_a_glance_at_a_mugs_handle(scene, can_at, pack_plan, monkeypatch, turn, 
     monkeypatch.setattr(observation, "shows_handle", lambda *_: True)
     assert watch.glance(poses, ("can_0",)) == {"can_0": "in_place"}, "depth shows it where it is expected"
     assert len(looks) == 2, "the network is not asked"
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_seen"),
+    [({}, True), ({"status": "not_there"}, False), ({"visible_pixels": MIN_PIXELS - 1}, False)],
+)
+def test_what_is_in_the_hand_is_seen_from_where_the_camera_is(scene, can_at, monkeypatch, changes, is_seen):
+    watch, poses, _, scanner = scene
+    T_world_tcp, asked = np.diag([1.0, -1.0, -1.0, 1.0]), []
+
+    def refit_held(estimate, frames, T_expected, T_hand, others):
+        asked.append((estimate.name, frames, T_expected, T_hand, others))
+        return shifted(can_at, 0.008, **changes)
+
+    monkeypatch.setattr(observation, "refit_held", refit_held)
+    T_seen = watch.held("can_0", poses, T_world_tcp)
+    ((name, frames, T_expected, T_hand, others),) = asked
+    assert (name, others) == ("can_0", []) and frames[0] is scanner.frame and T_hand is T_world_tcp
+    np.testing.assert_allclose(T_expected, can_at().T_world_object, atol=1e-9)
+    assert not scanner.visited
+    if not is_seen:
+        assert T_seen is None
+        return
+    np.testing.assert_allclose((T_seen - poses["can_0"])[:3, 3], [0.008, 0.0, 0.0], atol=1e-9)
