@@ -43,7 +43,7 @@ class GraspFailedError(ManipulationError):
 
 
 class UnknownInTheWayError(GraspFailedError):
-    """An image shows something unknown where the hand was about to go; nothing was touched."""
+    """An image shows something unknown where the hand, or what it holds, was about to go."""
 
 
 class LeaningError(GraspFailedError):

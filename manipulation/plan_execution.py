@@ -7,12 +7,10 @@ was expected before the grasp and after the release, and how it is held before i
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial import KDTree
 
 from manipulation.errors import (
     ApproachBlockedError,
@@ -33,12 +31,16 @@ from manipulation.robot import Robot, follow_opening
 from manipulation.stack_settling import StackSettling
 from manipulation.types import Grasp, PickPlacePlan
 from perception.geometry import invert, transform_points
+from perception.metrics import SurfaceSamples
+from perception.types import TriangleMesh
 
 logger = logging.getLogger(__name__)
 
 _ABOVE = 0.003  # [m] by which the base of an object is above that of one that carries it, at least
-_BESIDE = 0.02  # [m] from a lifted object, from which on a measured point is not of it
-_HANGING = 1000  # of these points, from which on something hangs on it
+_BEYOND = 0.02  # [m] from the shape of a lifted object, from which on a measured point is not of it
+_SAMPLES = 4000  # on the surface of that shape
+_FURTHER_DOWN = 0.06  # [m] below that shape down to which such points are looked for
+_MANY = 1000  # of these points, from which on it reaches beyond its shape, or something hangs on it
 _INSIDE = 0.004  # [m] by which a point is in the way of the hand at least, which covers noise
 # [m], [rad] in the hand, from which on an object is lowered as it is held: it would arrive beside its goal,
 # or with one side of its base first.
@@ -115,7 +117,8 @@ class PlanExecution:
 
         Raises:
             SceneChangedError: the object is not where it was expected.
-            UnknownInTheWayError: an image shows something unknown where the hand was about to go.
+            UnknownInTheWayError: an image shows something unknown where the hand, or what it holds, was about
+                to go.
             ApproachBlockedError: the hand met something on its way to the object.
             GraspFailedError: the object is not held, slips between the fingers, is not where it was released,
                 or leans there.
@@ -144,6 +147,7 @@ class PlanExecution:
         self._require_held(grasp, f"{name} was lost during the lift")
         self._require_firm(plan, closed)
         self._require_alone(plan)
+        self._require_known(plan)
         self._notify("transfer", name)
         try:
             robot.follow(plan.carry)
@@ -234,34 +238,9 @@ class PlanExecution:
             now[name] = lift @ now[name]
         seen = self.observer.glance(now | {name: lift @ now[name] for name in below}, below)
         stuck = [name for name in below if seen.get(name) == "in_place"]
-        if stuck or self._hangs_on(plan.name, below, now):
+        if stuck:
             self.robot.follow(plan.lift.reversed())
-            raise GraspFailedError(f"{' and '.join(stuck or below)} was lifted with {plan.name}")
-
-    def _hangs_on(
-        self, name: str, below: Sequence[str], poses: Mapping[str, Float[np.ndarray, "4 4"]]
-    ) -> bool:
-        """Return whether what was below a lifted object is no longer there, and something is beside that.
-
-        A bowl that hangs on the handle of the mug in it is tilted.
-
-        Args:
-            name: the object.
-            below: names of what it stood in or on.
-            poses: poses of all objects if nothing else was lifted.
-        """
-        if "in_place" in self.observer.glance(poses, tuple(below)).values():
-            return False
-        items = self.scene.items
-        own = KDTree(transform_points(poses[name], items[name].vertices))
-        reach = max(np.linalg.norm(items[other].vertices, axis=1).max() for other in below)
-
-        def is_beside(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
-            apart = own.query(points, distance_upper_bound=reach)[0]
-            return (apart > _BESIDE) & np.isfinite(apart) & (points[:, 2] > own.mins[2] - _BESIDE)
-
-        unknown = self.observer.unexpected(poses, self.scene.perceived_obstacles, is_beside)
-        return len(unknown) >= _HANGING
+            raise GraspFailedError(f"{' and '.join(stuck)} was lifted with {plan.name}")
 
     def _as_held(self, plan: PickPlacePlan) -> PickPlacePlan:
         """Return the plan with another way down if an image shows that the object has shifted in the hand.
@@ -271,16 +250,51 @@ class PlanExecution:
         """
         q = self.robot.joint_positions()
         T_world_tcp = self.planner.kinematics.forward(q)
-        T_expected, now = T_world_tcp @ invert(plan.grasp.T_stand_tcp), dict(self.scene.poses())
-        moved = T_expected @ invert(now[plan.name])
-        for name in (plan.name, *plan.contents):
-            now[name] = moved @ now[name]
-        T_seen = self.observer.held(plan.name, now, T_world_tcp)
+        T_expected = T_world_tcp @ invert(plan.grasp.T_stand_tcp)
+        T_seen = self.observer.held(plan.name, self._carried_to(T_expected, plan), T_world_tcp)
         if T_seen is None or not is_displaced(T_expected, T_seen, _SHIFTED, _TURNED):
             return plan
         lowered = self.planner.lowered_as_held(plan, invert(T_seen) @ T_world_tcp, q)
         logger.info("%s has shifted in the hand%s", plan.name, ", with no other way down" * (lowered is None))
         return lowered or plan
+
+    def _require_known(self, plan: PickPlacePlan) -> None:
+        """Lower an object again, and raise UnknownInTheWayError, if it reaches beyond its shape in the hand.
+
+        What hid a part of it may have been taken away since it was estimated, or something hangs on it, such
+        as the bowl that a mug stood in on its handle. The transfer would sweep other objects with it.
+        """
+        T_world_tcp = self.planner.kinematics.forward(self.robot.joint_positions())
+        now = self._carried_to(T_world_tcp @ invert(plan.grasp.T_stand_tcp), plan)
+        T_seen = self.observer.held(plan.name, now, T_world_tcp)
+        if T_seen is not None:
+            now = self._carried_to(T_seen, plan)
+        item = self.scene.items[plan.name]
+        mesh = TriangleMesh(transform_points(now[plan.name], item.vertices), item.faces)
+        own = SurfaceSamples.of(mesh, np.random.default_rng(0), _SAMPLES).tree
+        reach = float(np.linalg.norm(own.maxes - own.mins))
+        risen = float(own.mins[2] - self.scene.pose(plan.name)[2, 3])
+        lowest = own.mins[2] - min(_FURTHER_DOWN, max(risen - _FURTHER_DOWN, 0.0))
+
+        def is_beyond(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+            apart = own.query(points, distance_upper_bound=reach)[0]
+            return (apart > _BEYOND) & np.isfinite(apart) & (points[:, 2] > lowest)
+
+        unknown = self.observer.unexpected(now, self.scene.perceived_obstacles, is_beyond)
+        if len(unknown) >= _MANY:
+            self.robot.follow(plan.lift.reversed())
+            x, y, z = np.median(unknown, axis=0)
+            raise UnknownInTheWayError(
+                f"{plan.name} reaches beyond its shape in the hand, to ({x:.2f}, {y:.2f}, {z:.2f}) m"
+            )
+
+    def _carried_to(
+        self, T_world_stand: Float[np.ndarray, "4 4"], plan: PickPlacePlan
+    ) -> dict[str, Float[np.ndarray, "4 4"]]:
+        """Return the poses of all objects once an object with its contents has been carried to a pose."""
+        now = dict(self.scene.poses())
+        moved = T_world_stand @ invert(now[plan.name])
+        return now | {name: moved @ now[name] for name in (plan.name, *plan.contents)}
 
     def _carriers(self, plan: PickPlacePlan) -> tuple[str, ...]:
         """Return the names of the objects in or on which an object of a plan stands.

@@ -130,38 +130,42 @@ def test_what_an_object_stood_in_is_put_back_with_it(shapes, arm, lifted):
 
 
 @pytest.mark.parametrize(
-    ("presence", "n_beside", "is_raised"),
-    [("displaced", 1500, True), ("unseen", 1500, True), ("in_place", 1500, False), ("displaced", 500, False)],
+    ("offset", "count", "is_raised"),
+    [
+        ((0.0, 0.06, 0.01), 1500, True),
+        ((0.0, 0.06, 0.01), 500, False),
+        ((0.0, 0.0, -0.05), 1500, True),
+        ((0.0, 0.0, -0.08), 1500, False),
+        ((0.0, 0.03, 0.05), 1500, False),
+        ((0.0, 0.3, 0.01), 1500, False),
+    ],
+    ids=["beside", "few", "below", "far below", "its own", "far beside"],
 )
-def test_a_bowl_that_hangs_on_what_stood_in_it_is_put_back(
-    item, plan, arm, shapes, presence, n_beside, is_raised
+@pytest.mark.parametrize("shifted", [0.0, 0.04])
+def test_what_reaches_beyond_its_shape_in_the_hand_is_put_back(
+    cell, plan, item, offset, count, is_raised, shifted
 ):
-    """It is tilted, and nowhere where it is looked for."""
-    bowl = to_standing(shapes.estimate(2, "bowl", shapes.bowl(0.08, 0.04), 0.5, -0.25))
-    planner = PickPlacePlanner(Kinematics(arm), {"can_1": item, "bowl_2": bowl}, config=CONFIG.pick_place)
-    forward = planner.kinematics.forward
+    """Relative to its pose in the hand as it is seen."""
+    robot, planner, _, execution = cell()
+    forward, observer = planner.kinematics.forward, execution.observer
     risen = (forward(plan.lift.positions[-1]) - forward(plan.lift.positions[0]))[:3, 3]
-    beside = item.T_world_stand[:3, 3] + risen + np.array([0.0, 0.06, 0.01])
-    far = beside + np.array([0.0, 0.3, 0.0])
+    place = item.T_world_stand[:3, 3] + risen + (shifted, 0.0, 0.0)
+    observer.shifted = shift_in_world(shifted, 0.0, np.zeros(3))
+    unexpected = observer.unexpected
 
-    class Observer(FakeObserver):
-        def glance(self, poses, names):
-            is_there = np.allclose(poses["bowl_2"], bowl.T_world_stand)
-            return {name: presence if is_there else "unseen" for name in names}
+    def beyond(poses, obstacles, region):
+        if poses["can_1"][2, 3] < risen[2] / 2:  # on the way to it
+            return unexpected(poses, obstacles, region)
+        np.testing.assert_allclose(poses["can_1"][:3, 3], place, atol=2e-3)
+        points = np.repeat([place + offset], count, axis=0)
+        return points[region(points)]
 
-        def unexpected(self, poses, obstacles, region):
-            if poses["can_1"][2, 3] < risen[2] / 2:  # on the way to it
-                return np.zeros((0, 3))
-            points = np.repeat([beside, far, item.T_world_stand[:3, 3]], (n_beside, 2000, 2000), axis=0)
-            return points[region(points)]
-
-    robot = FakeRobot(arm, [plan.grasp.held_width])
-    execution = PlanExecution(robot, planner, Observer(), CONFIG, lambda *args, **options: None)
+    observer.unexpected = beyond
     if not is_raised:
-        execution.run(plan, looks_first=False)
+        execution.run(plan)
         return
-    with pytest.raises(GraspFailedError, match="bowl_2 was lifted with can_1"):
-        execution.run(plan, looks_first=False)
+    with pytest.raises(UnknownInTheWayError, match=r"can_1 reaches beyond its shape in the hand, to \(0\.5"):
+        execution.run(plan)
     assert robot.q == pytest.approx(plan.lift.positions[0]), "where it was grasped"
 
 
@@ -266,7 +270,7 @@ def test_an_object_that_has_shifted_in_the_hand_is_lowered_as_it_is_held(cell, p
     T_released = forward(lowering.positions[-1]) @ T_tcp_stand
     np.testing.assert_allclose(T_released, plan.T_world_stand_goal, atol=2e-3)
     np.testing.assert_array_equal(planner.scene.pose("can_1"), plan.T_world_stand_rest)
-    name, poses, T_world_tcp = execution.observer.asked_in_hand[0]
+    name, poses, T_world_tcp = execution.observer.asked_in_hand[-1]
     np.testing.assert_allclose(T_world_tcp, above)
     np.testing.assert_allclose(poses[name] @ plan.grasp.T_stand_tcp, above, atol=1e-9)
     assert planner.scene.world.contact(carry.positions[-1], plan.grasp.held_width) is None, "nothing carried"
