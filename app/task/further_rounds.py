@@ -20,6 +20,7 @@ from app.task.fallen import (
     without_gone,
 )
 from app.task.further_views import MOST_CLOSER
+from app.task.hidden_places import may_hide_an_object
 from app.task.nests import with_bowls_named
 from app.task.obstacles import bounds_of, filled_bounds, known_bounds, obstacles_during, table_of
 from app.task.rounds import (
@@ -67,6 +68,7 @@ class FurtherRounds:
         self._seen: ScannedRound | None = None  # by the last round but the first
         self._tried_in_box: set[int] = set()  # what was left in the box and has been planned for once more
         self._remeasured: set[int] = set()  # objects on the rows
+        self._has_looked_behind = False  # what was taken away
         self._nested: set[int] = set()  # bowls that were to go into others once all was packed
 
     def place_again(self, result: TaskResult) -> TaskResult | None:
@@ -157,12 +159,14 @@ class FurtherRounds:
         stages = self._stages
         request, observer = stages.request, stages.observer
         box, n_rejected = request.filled_box, len(observer.rejected)
-        if not is_something_left(result, stages.latest):
+        is_left = is_something_left(result, stages.latest)
+        if not is_left and not self._may_hide_an_object(result):
             return None
+        self._has_looked_behind = True
         try:
             if box is not None and is_something_lost(result):
                 result = with_lost_found(result, stages.look_into_box(), box)
-            frames = stages.scan(FULL_SCAN)
+            frames = stages.scan(FULL_SCAN if is_left else request.scan_views)
             n_scanned = len(frames)
             frames += stages.capture_nearby(places_of_left(stages.latest, box)[:MOST_CLOSER])
             placed = list(placed_estimates(result).values())
@@ -205,6 +209,14 @@ class FurtherRounds:
         result = replace(result, rejected=tuple(observer.rejected[n_rejected:]))
         further = self._carry_out(result, found, plan, others, obstacles, detections)
         return as_first_seen(further, result)
+
+    def _may_hide_an_object(self, result: TaskResult) -> bool:
+        """Return whether an object may stand where the scan has shown nothing, before it is looked for."""
+        stages = self._stages
+        if self._has_looked_behind or not stages.request.uncertainty or result.detections is None:
+            return False
+        area, plane = stages.settings.free_area, table_of(result.detections).plane
+        return may_hide_an_object(result.frames, result.objects, area, plane)
 
     def _plan(
         self, result: TaskResult, found: Sequence[ObjectEstimate], items: Mapping[str, StandingObject]

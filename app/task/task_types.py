@@ -29,7 +29,8 @@ class TaskRequest:
         scan_views: Number of images of the scan.
         workspace: Viewpoints and heights of motions, scaled to the arm.
         uncertainty: Whether the standard deviations of the estimates widen clearances, rank grasps, and ask
-            for further images of the scan.
+            for further images of the scan, and whether the table is looked at again in the end where the scan
+            may have hidden an object.
         perceive_only: Whether the task ends with the object map, before anything is moved.
         rounds: Most scans of a task; further ones look for what is left on the table.
     """

@@ -9,6 +9,7 @@ from app.task.pipeline import run
 from app.task.stages import FULL_SCAN
 from app.task.task_types import TaskRequest
 from manipulation.errors import PlanningError
+from manipulation.planner import ManipulationConfig
 from manipulation.standing import to_standing
 from manipulation.types import Box, Line, ObjectOutcome
 from manipulation.workspace import Workspace
@@ -350,3 +351,29 @@ def test_true_shapes_are_not_measured(sorted_cans, can_at):
     shapes = lambda frames, detections: [can_at(0), lying(can_at(1, 0.5))]  # noqa: E731
     run(StillRobot(), sorted_cans.perception, TaskRequest("sort", reconstruction=shapes))
     assert sorted_cans.measured == [] and len(sorted_cans.executed) == 1
+
+
+@pytest.mark.parametrize(
+    ("hides", "uncertainty", "scans"), [(True, True, 2), (False, True, 1), (True, False, 1)]
+)
+def test_what_the_scan_may_have_hidden_is_looked_for_once_when_all_is_done(
+    stages, pack_plan, hides, uncertainty, scans
+):
+    """With as many images as the scan; the second look finds nothing."""
+    asked = []
+
+    def may_hide(frames, objects, area, plane):
+        asked.append(([estimate.id for estimate in objects], area))
+        return hides
+
+    stages.replace("may_hide_an_object", may_hide)
+    stages.replace("plan_pack", lambda *args: replace(pack_plan, left_out={}))
+    results = iter([[estimate for estimate in stages.objects if estimate.id == 0], []])
+    stages.replace("reconstruct_objects", lambda *args, **options: next(results))
+    request = TaskRequest("pack", Box(), rounds=3, scan_views=1, uncertainty=uncertainty)
+    result = run(StillRobot(), stages.perception, request)
+    assert result.failure == "" and [outcome.placed for outcome in result.outcomes] == [True]
+    seen = [views for views in stages.scanner.visited if views == Workspace().scan_viewpoints(1)]
+    assert len(seen) == scans
+    assert len(asked) == (1 if uncertainty else 0)
+    assert not asked or asked[0] == ([0], ManipulationConfig().free_area)
