@@ -26,7 +26,7 @@ from manipulation.plan_timing import PlanTiming
 from manipulation.planning_scene import PlanningScene, SceneState
 from manipulation.reach import reaches_any
 from manipulation.reorientation import rolled
-from manipulation.trajectories import MotionConfig, concatenate
+from manipulation.trajectories import MotionConfig
 from manipulation.types import Grasp, GraspSet, PickPlacePlan, Placement, Rejected, StandingObject
 from perception.geometry import pose_from_yaw
 from perception.obstacles.obstacle import PerceivedObstacle
@@ -194,15 +194,15 @@ class PickPlacePlanner:
             raise NoPlanError(tally.failure_message(name, candidates), tally.in_the_way, tally.is_enclosed)
         return min(plans, key=lambda plan: plan.duration)
 
-    def lowered_as_held(
+    def continued_as_held(
         self, plan: PickPlacePlan, T_stand_tcp: Float[np.ndarray, "4 4"], q: Float[np.ndarray, "n"]
     ) -> PickPlacePlan | None:
         """Return a plan with the rest of the way for an object that is held otherwise than it was planned.
 
         Args:
-            plan: the plan, carried out up to the end of ``carry``.
+            plan: the plan, carried out up to the end of ``lift`` or of ``carry``.
             T_stand_tcp: (4, 4) TCP pose in the stand frame, as the object is held.
-            q: (n,) present posture in [rad].
+            q: (n,) present posture in [rad], from which the returned plan carries the object.
 
         Returns:
             The plan; None if no yaw at the goal is feasible.
@@ -222,7 +222,8 @@ class PickPlacePlanner:
             T_world_stand_goal=place.T_world_stand_goal,
             T_world_stand_rest=goal.T_world_stand_rest,
             release_opening=place.release_opening,
-            lowering=concatenate([carry, self.motions.time_line(place.lowering, "carried")]),
+            carry=carry,
+            lowering=self.motions.time_line(place.lowering, "carried"),
             settle=None if place.settle is None else self.motions.time_line(place.settle),
             retreat=self.motions.time_line(place.retreat),
         )

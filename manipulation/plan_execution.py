@@ -1,12 +1,14 @@
-"""Execution of one pick-and-place plan with its checks: look, grasp, lift, carry, look, lower, release, look.
+"""Execution of one pick-and-place plan with its checks: look, grasp, lift, carry, lower, release, look.
 
 The width between the fingers tells whether the object is held; an image from above, whether it is where it
-was expected before the grasp and after the release, and how it is held before it is lowered.
+was expected before the grasp and after the release; images of the hand, how it is held after the lift and
+before it is lowered.
 """
 
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -29,21 +31,20 @@ from manipulation.pushing import Push
 from manipulation.recovery import Recovery
 from manipulation.robot import Robot, follow_opening
 from manipulation.stack_settling import StackSettling
+from manipulation.trajectories import concatenate
 from manipulation.types import Grasp, PickPlacePlan
 from perception.geometry import invert, transform_points
-from perception.metrics import SurfaceSamples
-from perception.types import TriangleMesh
 
 logger = logging.getLogger(__name__)
 
 _ABOVE = 0.003  # [m] by which the base of an object is above that of one that carries it, at least
-_BEYOND = 0.02  # [m] from the shape of a lifted object, from which on a measured point is not of it
-_SAMPLES = 4000  # on the surface of that shape
+_BEYOND = 0.02  # [m] beyond the shape of a lifted object, from which on a measured point is not of it
+_NEARBY = 0.1  # [m] from it, up to which such points are looked for
 _FURTHER_DOWN = 0.06  # [m] below that shape down to which such points are looked for
 _MANY = 1000  # of these points, from which on it reaches beyond its shape, or something hangs on it
 _INSIDE = 0.004  # [m] by which a point is in the way of the hand at least, which covers noise
-# [m], [rad] in the hand, from which on an object is lowered as it is held: it would arrive beside its goal,
-# or with one side of its base first.
+# [m], [rad] in the hand, from which on an object goes another way: it would meet what it was to pass above,
+# or arrive beside its goal, or with one side of its base first.
 _SHIFTED, _TURNED = 0.006, np.deg2rad(6.0)
 _SLIP = 0.005  # [m] by which the fingers close further during the lift, from which on they lose an object
 # [m] from its goal, from which on a released object is grasped again: in a box, and in a row.
@@ -147,11 +148,16 @@ class PlanExecution:
         self._require_held(grasp, f"{name} was lost during the lift")
         self._require_firm(plan, closed)
         self._require_alone(plan)
-        self._require_known(plan)
+        T_seen = self._seen_in_hand(plan)
+        self._require_known(plan, T_seen)
+        plan = self._as_held(plan, T_seen)
         self._notify("transfer", name)
         try:
             robot.follow(plan.carry)
-            plan = self._as_held(plan)
+            held = self._as_held(plan, self._seen_in_hand(plan))
+            if held is not plan:
+                robot.follow(held.carry)
+                plan = replace(held, carry=concatenate([plan.carry, held.carry]))
             robot.follow(plan.lowering)
         except RobotError as error:
             self.recovery.bring_back(plan)
@@ -242,43 +248,43 @@ class PlanExecution:
             self.robot.follow(plan.lift.reversed())
             raise GraspFailedError(f"{' and '.join(stuck)} was lifted with {plan.name}")
 
-    def _as_held(self, plan: PickPlacePlan) -> PickPlacePlan:
-        """Return the plan with another way down if an image shows that the object has shifted in the hand.
+    def _seen_in_hand(self, plan: PickPlacePlan) -> Float[np.ndarray, "4 4"] | None:
+        """Return T_world_stand of the object in the hand from one image; None if that does not show it."""
+        now = self._carried_to(self._in_hand(plan.grasp), plan)
+        return self.observer.held(plan.name, now, self._T_world_tcp())
+
+    def _as_held(self, plan: PickPlacePlan, T_seen: Float[np.ndarray, "4 4"] | None) -> PickPlacePlan:
+        """Return the plan, or one with another way from here if the object has shifted in the hand.
 
         The pads align themselves with a slanted wall, and a round body slides along them. Where no other way
-        is free, the object is lowered as planned.
+        is free, the object goes on as planned.
         """
-        q = self.robot.joint_positions()
-        T_world_tcp = self.planner.kinematics.forward(q)
-        T_expected = T_world_tcp @ invert(plan.grasp.T_stand_tcp)
-        T_seen = self.observer.held(plan.name, self._carried_to(T_expected, plan), T_world_tcp)
-        if T_seen is None or not is_displaced(T_expected, T_seen, _SHIFTED, _TURNED):
+        if T_seen is None or not is_displaced(self._in_hand(plan.grasp), T_seen, _SHIFTED, _TURNED):
             return plan
-        lowered = self.planner.lowered_as_held(plan, invert(T_seen) @ T_world_tcp, q)
-        logger.info("%s has shifted in the hand%s", plan.name, ", with no other way down" * (lowered is None))
-        return lowered or plan
+        q = self.robot.joint_positions()
+        held = self.planner.continued_as_held(plan, invert(T_seen) @ self._T_world_tcp(), q)
+        logger.info("%s has shifted in the hand%s", plan.name, ", with no other way" * (held is None))
+        return held or plan
 
-    def _require_known(self, plan: PickPlacePlan) -> None:
+    def _require_known(self, plan: PickPlacePlan, T_seen: Float[np.ndarray, "4 4"] | None) -> None:
         """Lower an object again, and raise UnknownInTheWayError, if it reaches beyond its shape in the hand.
 
         What hid a part of it may have been taken away since it was estimated, or something hangs on it, such
-        as the bowl that a mug stood in on its handle. The transfer would sweep other objects with it.
+        as the bowl that a mug stood in on its handle. The transfer would sweep other objects with it. Within
+        a cylinder around its shape may be a handle on another side, or what a bowl is filled with.
         """
-        T_world_tcp = self.planner.kinematics.forward(self.robot.joint_positions())
-        now = self._carried_to(T_world_tcp @ invert(plan.grasp.T_stand_tcp), plan)
-        T_seen = self.observer.held(plan.name, now, T_world_tcp)
-        if T_seen is not None:
-            now = self._carried_to(T_seen, plan)
-        item = self.scene.items[plan.name]
-        mesh = TriangleMesh(transform_points(now[plan.name], item.vertices), item.faces)
-        own = SurfaceSamples.of(mesh, np.random.default_rng(0), _SAMPLES).tree
-        reach = float(np.linalg.norm(own.maxes - own.mins))
-        risen = float(own.mins[2] - self.scene.pose(plan.name)[2, 3])
-        lowest = own.mins[2] - min(_FURTHER_DOWN, max(risen - _FURTHER_DOWN, 0.0))
+        now = self._carried_to(self._in_hand(plan.grasp) if T_seen is None else T_seen, plan)
+        T_stand_world, vertices = invert(now[plan.name]), self.scene.items[plan.name].vertices
+        radius, (bottom, top) = (
+            np.linalg.norm(vertices[:, :2], axis=1).max(),
+            np.quantile(vertices[:, 2], (0, 1)),
+        )
+        lowest = float(transform_points(now[plan.name], vertices)[:, 2].min()) - _FURTHER_DOWN
 
         def is_beyond(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
-            apart = own.query(points, distance_upper_bound=reach)[0]
-            return (apart > _BEYOND) & np.isfinite(apart) & (points[:, 2] > lowest)
+            x, y, z = transform_points(T_stand_world, points).T
+            beyond = np.maximum(np.hypot(x, y) - radius, np.maximum(bottom - z, z - top))
+            return (beyond > _BEYOND) & (beyond < _NEARBY) & (points[:, 2] > lowest)
 
         unknown = self.observer.unexpected(now, self.scene.perceived_obstacles, is_beyond)
         if len(unknown) >= _MANY:
@@ -287,6 +293,13 @@ class PlanExecution:
             raise UnknownInTheWayError(
                 f"{plan.name} reaches beyond its shape in the hand, to ({x:.2f}, {y:.2f}, {z:.2f}) m"
             )
+
+    def _T_world_tcp(self) -> Float[np.ndarray, "4 4"]:
+        return self.planner.kinematics.forward(self.robot.joint_positions())
+
+    def _in_hand(self, grasp: Grasp) -> Float[np.ndarray, "4 4"]:
+        """Return T_world_stand of an object that is held as in a grasp."""
+        return self._T_world_tcp() @ invert(grasp.T_stand_tcp)
 
     def _carried_to(
         self, T_world_stand: Float[np.ndarray, "4 4"], plan: PickPlacePlan

@@ -267,7 +267,7 @@ class PickPlacePlan:
         approach: straight motion from there to the grasp.
         lift: vertical motion from the grasp.
         carry: motion from there to a point above the goal.
-        lowering: motion from there down to the goal, the last part of it straight.
+        lowering: straight motion from there down to the goal.
         settle: short descent with loosened pads, so that a lip or cap comes off a pad; None if not needed.
         retreat: motion away from the released object.
         contents: names of what stays in the object while it is carried.

@@ -218,7 +218,7 @@ class FakeObserver:
 
     def __init__(self, presence=(), **findings):
         self.presence, self.findings, self.searched = list(presence), findings, []
-        self.closer, self.looked_at, self.asked_in_hand = [], [], []
+        self.closer, self.looked_at = [], []
         self.obstacles = []  # things of no class that each look at the table shows
 
     def glance(self, poses, names):
@@ -230,7 +230,6 @@ class FakeObserver:
         return self.unknown[region(self.unknown)]
 
     def held(self, name, poses, T_world_tcp):
-        self.asked_in_hand.append((name, dict(poses), T_world_tcp))
         return None if self.shifted is None else self.shifted @ poses[name]
 
     def find(self, name, poses):
