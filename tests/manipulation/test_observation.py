@@ -41,6 +41,7 @@ def test_shift_and_tilt_decide_but_not_yaw_and_height():
     assert is_displaced(T, shifted)
     assert not is_displaced(T, raised) and not is_displaced(T, pose_from_yaw(2.0, T[:3, 3]))
     assert is_displaced(T, tilted(T, TIPPED + 0.01)) and not is_displaced(T, tilted(T, TIPPED - 0.01))
+    assert is_displaced(T, tilted(T, 0.11), tipped=0.1) and not is_displaced(T, tilted(T, 0.09), tipped=0.1)
 
 
 @pytest.mark.parametrize("moved", [MOVED, 0.1])

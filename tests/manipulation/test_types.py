@@ -8,7 +8,7 @@ from manipulation.grasps import grasp_candidates
 from manipulation.robot import JointTrajectory
 from manipulation.standing import to_standing
 from manipulation.types import Box, GraspSet, Line, PickPlacePlan, Placement
-from perception.geometry import pose_from_yaw
+from perception.geometry import pose_from_yaw, rigid, so3_exp
 
 
 def standing(shapes, category, mesh, **where):
@@ -25,13 +25,25 @@ def test_contents_move_as_what_they_are_in(shapes):
     grasp = grasp_candidates(standing(shapes, "can", shapes.can())).grasps[0]
     goal = Placement("bowl", (0.5, 0.3, 0.1), (0.0,))
     still = JointTrajectory(0.01, *np.zeros((3, 1, 7)))
-    motions = dict.fromkeys(("transit", "approach", "lift", "transfer", "carry", "settle", "retreat"), still)
+    motions = dict.fromkeys(("transit", "approach", "lift", "carry", "lowering", "settle", "retreat"), still)
     plan = PickPlacePlan("bowl", grasp, goal, T_rest, T_rest, 0.05, **motions, contents=("inner",))
     poses = {"bowl": np.eye(4), "inner": pose_from_yaw(0.0, np.array([0.1, 0.0, 0.0])), "beside": np.eye(4)}
     after = plan.poses_after(poses)
     assert after.keys() == {"bowl", "inner"}
     np.testing.assert_allclose(after["bowl"], T_rest)
     np.testing.assert_allclose(after["inner"][:3, 3], [0.5, 0.4, 0.1], atol=1e-12)
+
+
+def test_an_object_that_has_shifted_in_the_hand_is_left_in_the_same_direction_of_the_hand(shapes):
+    grasp = grasp_candidates(standing(shapes, "can", shapes.can())).grasps[0]
+    shift = pose_from_yaw(0.2, np.array([0.01, 0.0, 0.002])) @ rigid(
+        so3_exp(np.array([0.1, 0.0, 0.0])), np.zeros(3)
+    )
+    held = grasp.held_at(shift @ grasp.T_stand_tcp)
+    np.testing.assert_allclose(held.T_stand_tcp, shift @ grasp.T_stand_tcp)
+    in_hand = [g.T_stand_tcp[:3, :3].T @ g.away for g in (grasp, held)]
+    np.testing.assert_allclose(*in_hand, atol=1e-12)
+    assert held.held_width == grasp.held_width and held.release_opening == grasp.release_opening
 
 
 def test_length_and_direction_of_a_line():

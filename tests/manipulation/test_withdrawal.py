@@ -84,6 +84,8 @@ def test_the_camera_is_not_moved_where_the_hand_cannot_rise(planner, among, monk
     assert observer.look_closer(("can_1",), planner.scene.poses()) == {}
     assert observer.find_obstacles(planner.scene.poses()) is None and not among.motions
     assert observer.glance(planner.scene.poses(), ("can_1",)) == {"can_1": "in_place"}, "needs no motion"
+    seen.shifted, T_held = np.eye(4), planner.scene.pose("can_1")
+    np.testing.assert_array_equal(observer.held("can_1", planner.scene.poses(), T_held), T_held)
     seen.unknown = np.eye(3)
     np.testing.assert_array_equal(
         observer.unexpected(planner.scene.poses(), (), lambda points: points[:, 0] > 0.5), np.eye(3)[:1]
