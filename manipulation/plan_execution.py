@@ -24,12 +24,19 @@ from manipulation.errors import (
 )
 from manipulation.hand_collision import HandBoxes, HandClearance
 from manipulation.lying_grasps import lies
-from manipulation.observation import FEWEST_UNKNOWN, SceneObserver, classify_grip, is_displaced, is_turned
+from manipulation.observation import (
+    FEWEST_UNKNOWN,
+    SceneObserver,
+    Volume,
+    classify_grip,
+    is_displaced,
+    is_turned,
+)
 from manipulation.pick_place import PickPlacePlanner
 from manipulation.planner import ManipulationConfig
 from manipulation.pushing import Push
 from manipulation.recovery import Recovery
-from manipulation.robot import Robot, follow_opening
+from manipulation.robot import JointTrajectory, Robot, follow_opening
 from manipulation.stack_settling import StackSettling
 from manipulation.trajectories import concatenate
 from manipulation.types import Grasp, PickPlacePlan
@@ -39,6 +46,7 @@ logger = logging.getLogger(__name__)
 
 _ABOVE = 0.003  # [m] by which the base of an object is above that of one that carries it, at least
 _BEYOND = 0.02  # [m] beyond the shape of a lifted object, from which on a measured point is not of it
+_OFF_HAND = 0.015  # [m] from the hand, up to which a point may be of it: its camera pose may be inexact
 _NEARBY = 0.1  # [m] from it, up to which such points are looked for
 _FURTHER_DOWN = 0.06  # [m] below that shape down to which such points are looked for
 _MANY = 1000  # of these points, from which on it reaches beyond its shape, or something hangs on it
@@ -150,11 +158,11 @@ class PlanExecution:
         self._require_alone(plan)
         T_seen = self._seen_in_hand(plan)
         self._require_known(plan, T_seen)
-        plan = self._as_held(plan, T_seen)
+        plan = self._as_held(plan, T_seen, plan.lift)
         self._notify("transfer", name)
         try:
             robot.follow(plan.carry)
-            held = self._as_held(plan, self._seen_in_hand(plan))
+            held = self._as_held(plan, self._seen_in_hand(plan), plan.carry)
             if held is not plan:
                 robot.follow(held.carry)
                 plan = replace(held, carry=concatenate([plan.carry, held.carry]))
@@ -253,16 +261,23 @@ class PlanExecution:
         now = self._carried_to(self._in_hand(plan.grasp), plan)
         return self.observer.held(plan.name, now, self._T_world_tcp())
 
-    def _as_held(self, plan: PickPlacePlan, T_seen: Float[np.ndarray, "4 4"] | None) -> PickPlacePlan:
+    def _as_held(
+        self, plan: PickPlacePlan, T_seen: Float[np.ndarray, "4 4"] | None, latest: JointTrajectory
+    ) -> PickPlacePlan:
         """Return the plan, or one with another way from here if the object has shifted in the hand.
 
         The pads align themselves with a slanted wall, and a round body slides along them. Where no other way
         is free, the object goes on as planned.
+
+        Args:
+            plan: the plan.
+            T_seen: (4, 4) T_world_stand of the object as an image shows it; None if that does not.
+            latest: the motion of the plan that the arm has completed, from whose end the way leads.
         """
         if T_seen is None or not is_displaced(self._in_hand(plan.grasp), T_seen, _SHIFTED, _TURNED):
             return plan
-        q = self.robot.joint_positions()
-        held = self.planner.continued_as_held(plan, invert(T_seen) @ self._T_world_tcp(), q)
+        T_stand_tcp = invert(T_seen) @ self._T_world_tcp()
+        held = self.planner.continued_as_held(plan, T_stand_tcp, latest.positions[-1])
         logger.info("%s has shifted in the hand%s", plan.name, ", with no other way" * (held is None))
         return held or plan
 
@@ -274,25 +289,33 @@ class PlanExecution:
         a cylinder around its shape may be a handle on another side, or what a bowl is filled with.
         """
         now = self._carried_to(self._in_hand(plan.grasp) if T_seen is None else T_seen, plan)
-        T_stand_world, vertices = invert(now[plan.name]), self.scene.items[plan.name].vertices
-        radius, (bottom, top) = (
-            np.linalg.norm(vertices[:, :2], axis=1).max(),
-            np.quantile(vertices[:, 2], (0, 1)),
-        )
-        lowest = float(transform_points(now[plan.name], vertices)[:, 2].min()) - _FURTHER_DOWN
-
-        def is_beyond(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
-            x, y, z = transform_points(T_stand_world, points).T
-            beyond = np.maximum(np.hypot(x, y) - radius, np.maximum(bottom - z, z - top))
-            return (beyond > _BEYOND) & (beyond < _NEARBY) & (points[:, 2] > lowest)
-
-        unknown = self.observer.unexpected(now, self.scene.perceived_obstacles, is_beyond)
+        region = self._beyond(plan.name, now[plan.name])
+        unknown = self.observer.unexpected(now, self.scene.perceived_obstacles, region)
         if len(unknown) >= _MANY:
             self.robot.follow(plan.lift.reversed())
             x, y, z = np.median(unknown, axis=0)
             raise UnknownInTheWayError(
                 f"{plan.name} reaches beyond its shape in the hand, to ({x:.2f}, {y:.2f}, {z:.2f}) m"
             )
+
+    def _beyond(self, name: str, T_world_stand: Float[np.ndarray, "4 4"]) -> Volume:
+        """Return the region around the cylinder of a held object, beside the hand."""
+        gripper, width = self.robot.arm.gripper, self.robot.gripper_width()
+        hand = HandBoxes.of(gripper, width, HandClearance().hand_length).moved(gripper.pads_middle(width))
+        T_tcp_world, T_stand_world = invert(self._T_world_tcp()), invert(T_world_stand)
+        vertices = self.scene.items[name].vertices
+        radius = np.linalg.norm(vertices[:, :2], axis=1).max()
+        bottom, top = vertices[:, 2].min(), vertices[:, 2].max()
+        lowest = transform_points(T_world_stand, vertices)[:, 2].min() - _FURTHER_DOWN
+
+        def region(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+            x, y, z = transform_points(T_stand_world, points).T
+            beyond = np.maximum(np.hypot(x, y) - radius, np.maximum(bottom - z, z - top))
+            found = (beyond > _BEYOND) & (beyond < _NEARBY) & (points[:, 2] > lowest)
+            found[found] = ~hand.swept(transform_points(T_tcp_world, points[found]), np.zeros(3), _OFF_HAND)
+            return found
+
+        return region
 
     def _T_world_tcp(self) -> Float[np.ndarray, "4 4"]:
         return self.planner.kinematics.forward(self.robot.joint_positions())

@@ -137,12 +137,23 @@ def test_what_an_object_stood_in_is_put_back_with_it(shapes, arm, lifted):
         ((0.0, 0.07, 0.01), 500, False),
         ((0.0, 0.0, -0.04), 1500, True),
         ((0.0, 0.0, -0.08), 1500, False),
-        ((0.0, 0.0, 0.18), 1500, True),
+        ((0.07, 0.07, 0.18), 1500, True),
         ((0.0, 0.04, 0.05), 1500, False),
         ((0.0, 0.01, 0.05), 1500, False),
         ((0.0, 0.3, 0.01), 1500, False),
+        ("in a finger", 1500, False),
     ],
-    ids=["beside", "few", "below", "far below", "above", "nearly its own", "inside", "far beside"],
+    ids=[
+        "beside",
+        "few",
+        "below",
+        "far below",
+        "above",
+        "nearly its own",
+        "inside",
+        "far beside",
+        "of the hand",
+    ],
 )
 @pytest.mark.parametrize("shifted", [0.0, 0.04])
 def test_what_reaches_beyond_its_shape_in_the_hand_is_put_back(
@@ -153,6 +164,9 @@ def test_what_reaches_beyond_its_shape_in_the_hand_is_put_back(
     forward, observer = planner.kinematics.forward, execution.observer
     risen = (forward(plan.lift.positions[-1]) - forward(plan.lift.positions[0]))[:3, 3]
     place = item.T_world_stand[:3, 3] + risen + (shifted, 0.0, 0.0)
+    T_tcp = forward(plan.lift.positions[-1])
+    in_finger = T_tcp[:3, 3] + T_tcp[:3, :3] @ (0.0, plan.grasp.held_width / 2 + 0.03, -0.035)
+    point = in_finger if offset == "in a finger" else place + offset
     observer.shifted = shift_in_world(shifted, 0.0, np.zeros(3))
     unexpected = observer.unexpected
 
@@ -160,7 +174,7 @@ def test_what_reaches_beyond_its_shape_in_the_hand_is_put_back(
         if poses["can_1"][2, 3] < risen[2] / 2:  # on the way to it
             return unexpected(poses, obstacles, region)
         np.testing.assert_allclose(poses["can_1"][:3, 3], place, atol=2e-3)
-        points = np.repeat([place + offset], count, axis=0)
+        points = np.repeat([point], count, axis=0)
         return points[region(points)]
 
     observer.unexpected = beyond
@@ -263,6 +277,7 @@ def shift_in_world(x, tilt, about):
 def test_an_object_that_has_shifted_in_the_hand_arrives_as_planned(cell, plan, x, degrees, look):
     """The hand arrives beside where it was planned."""
     robot, planner, _, execution = cell()
+    robot.joint_positions = lambda: robot.q + 2e-4  # as servos leave it
     forward, observer = planner.kinematics.forward, execution.observer
     T_stand_tcp = plan.grasp.T_stand_tcp
     begin = forward((plan.lift, plan.carry)[look].positions[-1])
@@ -279,8 +294,8 @@ def test_an_object_that_has_shifted_in_the_hand_arrives_as_planned(cell, plan, x
     *moves, lowering = robot.motions[3:-1]
     assert len(looks) == 2 and len(moves) == 1 + look
     assert (moves[0] is plan.carry) == (look == 1)
-    np.testing.assert_allclose(looks[look][1], begin, atol=1e-9)
-    np.testing.assert_allclose(looks[look][0] @ T_stand_tcp, begin, atol=1e-9)
+    np.testing.assert_allclose(looks[look][1], begin, atol=1e-3)
+    np.testing.assert_allclose(looks[look][0] @ T_stand_tcp, begin, atol=1e-3)
     released = forward(lowering.positions[-1]) @ T_tcp_stand
     np.testing.assert_allclose(released, plan.T_world_stand_goal, atol=2e-3)
     np.testing.assert_array_equal(planner.scene.pose("can_1"), plan.T_world_stand_rest)
