@@ -28,6 +28,9 @@ class Observer:
     def unexpected(self, poses, obstacles, region):
         raise AssertionError("not asked for")
 
+    def held(self, name, poses, T_world_tcp):
+        raise AssertionError("not asked for")
+
     def find(self, name, poses):
         return self.seen.get(name, Finding("unseen"))
 

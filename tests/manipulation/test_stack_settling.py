@@ -171,7 +171,7 @@ def test_a_bowl_that_gives_no_further_does_not_stop_the_robot(nested, arm):
     T = plan.T_world_stand_rest.copy()
     T[:3, :3] = Rotation.from_euler("x", 0.25).as_matrix() @ T[:3, :3]
     observer.closer = [{"bowl_2": T}]
-    n_moves = sum(motion is not None for motion in (plan.transit, plan.settle)) + 4
+    n_moves = sum(motion is not None for motion in (plan.transit, plan.settle)) + 5
     robot.blocked_motions = {n_moves + 2}  # after the way to above the point
     PlanExecution(robot, planner, observer, CONFIG, lambda *args, **options: None).run(plan)
     assert len(observer.looked_at) == 2 and len(robot.motions) == n_moves + 3, "it was backed off"
