@@ -157,7 +157,8 @@ class PlanExecution:
         self._require_firm(plan, closed)
         self._require_alone(plan)
         T_seen = self._seen_in_hand(plan)
-        self._require_known(plan, T_seen)
+        if T_seen is not None and self._carriers(plan):
+            self._require_known(plan, T_seen)
         plan = self._as_held(plan, T_seen, plan.lift)
         self._notify("transfer", name)
         try:
@@ -281,15 +282,16 @@ class PlanExecution:
         logger.info("%s has shifted in the hand%s", plan.name, ", with no other way" * (held is None))
         return held or plan
 
-    def _require_known(self, plan: PickPlacePlan, T_seen: Float[np.ndarray, "4 4"] | None) -> None:
+    def _require_known(self, plan: PickPlacePlan, T_seen: Float[np.ndarray, "4 4"]) -> None:
         """Lower an object again, and raise UnknownInTheWayError, if it reaches beyond its shape in the hand.
 
-        What hid a part of it may have been taken away since it was estimated, or something hangs on it, such
-        as the bowl that a mug stood in on its handle. The transfer would sweep other objects with it. Within
-        a cylinder around its shape may be a handle on another side, or what a bowl is filled with.
+        Something that it stood in or on may hang on it, as a bowl on the handle of the mug in it, and would
+        sweep other objects over. Within a cylinder around its shape may be a handle on another side, or what
+        a bowl is filled with. Where its pose in the hand is not seen, as that of a large bowl that sags, what
+        is beyond it is not known.
         """
-        now = self._carried_to(self._in_hand(plan.grasp) if T_seen is None else T_seen, plan)
-        region = self._beyond(plan.name, now[plan.name])
+        now = self._carried_to(T_seen, plan)
+        region = self._beyond(plan.name, T_seen)
         unknown = self.observer.unexpected(now, self.scene.perceived_obstacles, region)
         if len(unknown) >= _MANY:
             self.robot.follow(plan.lift.reversed())

@@ -157,10 +157,13 @@ def test_what_an_object_stood_in_is_put_back_with_it(shapes, arm, lifted):
 )
 @pytest.mark.parametrize("shifted", [0.0, 0.04])
 def test_what_reaches_beyond_its_shape_in_the_hand_is_put_back(
-    cell, plan, item, offset, count, is_raised, shifted
+    item, plan, arm, shapes, offset, count, is_raised, shifted
 ):
-    """Relative to its pose in the hand as it is seen."""
-    robot, planner, _, execution = cell()
+    """Relative to its pose in the hand as it is seen; it stood in a bowl."""
+    bowl = to_standing(shapes.estimate(2, "bowl", shapes.bowl(0.08, 0.04), 0.5, -0.25))
+    planner = PickPlacePlanner(Kinematics(arm), {"can_1": item, "bowl_2": bowl}, config=CONFIG.pick_place)
+    robot = FakeRobot(arm, [plan.grasp.held_width])
+    execution = PlanExecution(robot, planner, FakeObserver(), CONFIG, lambda *args, **options: None)
     forward, observer = planner.kinematics.forward, execution.observer
     risen = (forward(plan.lift.positions[-1]) - forward(plan.lift.positions[0]))[:3, 3]
     place = item.T_world_stand[:3, 3] + risen + (shifted, 0.0, 0.0)
@@ -179,11 +182,28 @@ def test_what_reaches_beyond_its_shape_in_the_hand_is_put_back(
 
     observer.unexpected = beyond
     if not is_raised:
-        execution.run(plan)
+        execution.run(plan, looks_first=False)
         return
     with pytest.raises(UnknownInTheWayError, match=r"can_1 reaches beyond its shape in the hand, to \(0\.5"):
-        execution.run(plan)
+        execution.run(plan, looks_first=False)
     assert robot.q == pytest.approx(plan.lift.positions[0]), "where it was grasped"
+
+
+@pytest.mark.parametrize(("below", "is_seen"), [(False, True), (True, False)])
+def test_what_stood_on_the_table_or_is_not_seen_in_the_hand_is_not_put_back(
+    item, plan, arm, shapes, below, is_seen
+):
+    bowl = to_standing(shapes.estimate(2, "bowl", shapes.bowl(0.08, 0.04), 0.5 if below else 0.1, -0.25))
+    planner = PickPlacePlanner(Kinematics(arm), {"can_1": item, "bowl_2": bowl}, config=CONFIG.pick_place)
+    observer, forward = FakeObserver(), planner.kinematics.forward
+    observer.shifted = np.eye(4) if is_seen else None
+    risen = (forward(plan.lift.positions[-1]) - forward(plan.lift.positions[0]))[:3, 3]
+    beside = item.T_world_stand[:3, 3] + risen + (0.0, 0.07, 0.01)
+    observer.unknown = np.repeat([beside], 1500, axis=0)
+    robot = FakeRobot(arm, [plan.grasp.held_width])
+    execution = PlanExecution(robot, planner, observer, CONFIG, lambda *args, **options: None)
+    execution.run(plan, looks_first=False)
+    assert robot.motions[3:5] == [plan.carry, plan.lowering]
 
 
 @pytest.mark.parametrize(
