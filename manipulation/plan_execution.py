@@ -248,9 +248,7 @@ class PlanExecution:
             return
         kinematics, positions = self.planner.kinematics, plan.lift.positions
         lift = kinematics.forward(positions[-1]) @ np.linalg.inv(kinematics.forward(positions[0]))
-        now = dict(self.scene.poses())
-        for name in (plan.name, *plan.contents):
-            now[name] = lift @ now[name]
+        now = self._carried_to(lift @ self.scene.pose(plan.name), plan)
         seen = self.observer.glance(now | {name: lift @ now[name] for name in below}, below)
         stuck = [name for name in below if seen.get(name) == "in_place"]
         if stuck:

@@ -1,8 +1,8 @@
 """Pose in the hand of an object that may have shifted between the pads.
 
 The hand tells most of it: two parallel pads leave an object little freedom across them, and some along them.
-A Gaussian prior on the motion of the object relative to the hand says so; an image of the wrist camera says
-the rest.
+A Gaussian prior on the motion of the object relative to the hand expresses this; an image of the wrist camera
+measures that motion.
 """
 
 from __future__ import annotations
