@@ -6,6 +6,8 @@ TORCH ?= torch==2.13.0
 export MUJOCO_GL ?= egl
 # One thread per process in numerical pools: several pools on few cores fight each other.
 export OPENBLAS_NUM_THREADS ?= 1
+# Hundreds of tests start a process, which would compile all modules where no bytecode may be written.
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: setup demo test check bench docs
 setup: .venv/.complete
@@ -21,7 +23,7 @@ demo: setup
 	$(BIN)/nodeslam pack --objects 6 --seed 1 --out runs/demo
 
 test: setup
-	$(BIN)/python -m pytest -n 2 -m "not slow"
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
 check: setup
 	$(BIN)/ruff check .

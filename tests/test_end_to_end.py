@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from perception.io.object_map import read_object_map
 
@@ -53,9 +54,8 @@ def check(reports):
 
 
 def test_packing_and_reconstruction_of_its_scan_without_a_simulator(tmp_path):
-    reports = [episode("pack", seed, tmp_path / str(seed)) for seed in (1, 2)]
-    check(reports)
     first = tmp_path / "1"
+    check([episode("pack", 1, first)])
     for name in ("objects.json", "plan.json", "replay.npz", "overview.png", "scan/scene_camera.json"):
         assert (first / name).stat().st_size > 0
     again = tmp_path / "again"
@@ -68,7 +68,13 @@ def test_packing_and_reconstruction_of_its_scan_without_a_simulator(tmp_path):
 
 
 def test_sorting(tmp_path):
-    check([episode("sort", seed, tmp_path / str(seed)) for seed in (1, 2)])
+    check([episode("sort", 1, tmp_path / "1")])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", ["pack", "sort"])
+def test_further_seeds(task, tmp_path):
+    check([episode(task, seed, tmp_path / str(seed)) for seed in range(2, 6)])
 
 
 def test_an_object_that_cannot_be_packed_is_named(tmp_path):

@@ -8,6 +8,7 @@ PACKAGES = ("app", "perception", "manipulation", "sim_assets")
 
 # Test files of more than one module.
 SEVERAL_MODULES = {
+    "test_conftest.py",  # the check of array shapes, with modules as examples
     "test_end_to_end.py",  # whole commands
     "test_faults.py",  # full disks and signals, over many commands
     "test_import_wall.py",  # walls between all packages

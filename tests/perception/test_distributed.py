@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -176,7 +175,7 @@ def doubled() -> Iterator[None]:
 
 def train_all(folder: Path, ranks: Ranks, report=None) -> None:
     """Train every kind of network for a few steps, on batches of odd sizes, and save their weights."""
-    autocast, torch.autocast = torch.autocast, partial(torch.autocast, enabled=False)  # pyright: ignore
+    capabilities, torch.cpu.get_capabilities = torch.cpu.get_capabilities, dict  # none: in full precision
     own = folder / f"rank{ranks.rank}"
     own.mkdir()
     job = TrainingJob(own, progress=report, ranks=ranks)
@@ -196,7 +195,7 @@ def train_all(folder: Path, ranks: Ranks, report=None) -> None:
         )
         found["scene, double"] = double_scene_network(ranks)
     finally:
-        torch.autocast = autocast
+        torch.cpu.get_capabilities = capabilities
     torch.save({name: net.state_dict() for name, net in found.items()}, folder / f"rank{ranks.rank}.pt")
 
 

@@ -43,6 +43,7 @@ def test_mujoco_alone_runs_as_long_as_the_actions():
     env.close()
 
 
+@pytest.mark.slow
 def test_rows_of_single_environments_and_of_a_vector_run(monkeypatch):
     monkeypatch.setattr(environments, "IN_PARALLEL", 2)
     monkeypatch.setattr(environments, "STEPS", 3)

@@ -49,6 +49,7 @@ def test_an_interrupted_job_goes_on_and_leaves_weights_and_card(tmp_path):
     assert "6 mugs, 2 bowls, 2 bottles, 2 cans" in card
 
 
+@pytest.mark.slow
 def test_several_processes_go_on_from_the_checkpoint_of_one(tmp_path):
     def interrupt(what: str, share: float) -> None:
         if what == "epoch 2 of 2":

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from perception.errors import PerceptionError
 from perception.inference import fit
 from perception.inference import reconstruct as reconstruction
 from perception.inference.acceptance import AcceptanceModel
@@ -104,10 +105,12 @@ def test_a_failure_of_one_object_costs_that_object_alone(
 def test_each_object_is_fitted_on_its_own_support_plane(scan, decoder, monkeypatch) -> None:
     frames, ((can, mug), _) = scan
     planes, used = (SupportPlane(), SupportPlane(offset=0.3)), {}
-    module = sys.modules[reconstruct.__module__]
-    monkeypatch.setattr(
-        module, "fit_object", lambda views, _decoder, plane, *_: used.setdefault(views.id, plane)
-    )
+
+    def fail(views, _decoder, plane, *_):
+        used[views.id] = plane
+        raise PerceptionError("only its plane matters here")
+
+    monkeypatch.setattr(sys.modules[reconstruct.__module__], "fit_object", fail)
     reconstruct(frames[:1], [[can, replace(mug, support=1)]], decoder, planes, QUICK)
     assert used == {4: planes[0], 2: planes[1]}
 
