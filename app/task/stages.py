@@ -31,11 +31,13 @@ from manipulation.planner import plan_pack, plan_sort
 from manipulation.robot import Robot
 from manipulation.types import Box, ObjectOutcome, TaskPlan
 from manipulation.viewpoints import Viewpoint, ViewpointScanner
+from perception.detection.completion import Completer
 from perception.early import EarlyReconstruction
+from perception.inference.handle import handle_yaw
 from perception.inference.refit import PoseCheck, refit_pose
 from perception.inference.turned import refit_turned
 from perception.pipeline import Detections, Perception, detect, reconstruct_objects
-from perception.types import ObjectEstimate, RgbdFrame
+from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
 FULL_SCAN = 6  # images of each further round
 
@@ -66,6 +68,7 @@ class Stages:
         uses_deviations = request.uncertainty and request.reconstruction is None
         self.latest: list[ObjectOutcome] = []
         self._looked_closer = False
+        self._handles = perception.detector if request.reconstruction is None else None
         self._left = list(self._space.further_viewpoints(request.scan_views)) if uses_deviations else []
         self.scanner = ViewpointScanner(
             robot, self.kinematics, keep_out=self._space.keep_out, via_heights=self._space.via_heights
@@ -184,8 +187,7 @@ class Stages:
             goal_views = self._space.line_viewpoints if box is None else self._space.box_viewpoints
             watch = WristObserver(
                 self.scanner, objects, plan.objects, self._space, plan.obstacles, look_around,
-                unexplained, goal_views, None if box is None else box_interior(box),
-                self.perception.detector if self.request.reconstruction is None else None,
+                unexplained, goal_views, None if box is None else box_interior(box), self._handles,
             )  # fmt: skip
             on_event = self.observer.on_event
             outcomes = execute(
@@ -202,7 +204,7 @@ class Stages:
             viewpoints = space.box_viewpoints if request.task == "pack" else space.line_viewpoints
             frames = self.scanner.capture(viewpoints, observer.on_progress, observer.on_image)
             result = replace(result, final_frames=frames)
-            return replace(result, checks=verify(placed_estimates(result), frames))
+            return replace(result, checks=verify(placed_estimates(result), frames, self._handles))
 
 
 def prior_reconstruction(
@@ -249,10 +251,17 @@ def plan_task(kinematics: Kinematics, request: TaskRequest, objects: Sequence[Ob
     return plan_sort(objects, request.line, kinematics.arm, settings, request.box, kinematics)
 
 
-def verify(placed: Mapping[int, ObjectEstimate], frames: Sequence[RgbdFrame]) -> dict[int, PoseCheck]:
+def verify(
+    placed: Mapping[int, ObjectEstimate], frames: Sequence[RgbdFrame], handles: Completer | None = None
+) -> dict[int, PoseCheck]:
     """Fit the poses of the placed objects to images of the goal region; return the checks by object id.
 
     Upright mugs are tried with their handles in other directions as well.
+
+    Args:
+        placed: Estimates of the placed objects at their expected poses, by id.
+        frames: Images of the goal region.
+        handles: Network that tells the directions of mugs' handles; None to tell them by depth alone.
     """
     checks = {}
     for object_id, estimate in placed.items():
@@ -260,6 +269,11 @@ def verify(placed: Mapping[int, ObjectEstimate], frames: Sequence[RgbdFrame]) ->
         T = estimate.T_world_object
         check = refit_pose(estimate, frames, T, others)
         if estimate.category == "mug" and check.status == "seen" and check.tilt < LEANING:
-            check = refit_turned(estimate, frames, T, others) or check
+            see_yaw = None
+            if handles is not None:
+                see_yaw = partial(
+                    handle_yaw, frames=frames, others=others, plane=SupportPlane(), network=handles
+                )
+            check = refit_turned(estimate, frames, T, others, see_yaw=see_yaw) or check
         checks[object_id] = check
     return checks

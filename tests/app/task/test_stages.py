@@ -158,3 +158,22 @@ def test_placed_objects_are_verified_beside_one_another(stages, overhead_frame):
         assert estimate.id == object_id and frames == [overhead_frame]
         np.testing.assert_array_equal(T, estimate.T_world_object)
         assert [other.id for other in others] == [1 - object_id]
+
+
+def test_the_network_is_asked_for_the_handles_of_standing_mugs(stages, overhead_frame):
+    mug, can = (replace(e, category=c) for e, c in zip(stages.objects, ("mug", "can"), strict=True))
+    asked, directions = [], []
+    stages.replace("refit_pose", lambda *args: SEEN)
+    stages.replace("handle_yaw", lambda *args, **kwargs: asked.append((args, kwargs)) or 0.5)
+
+    def turned(estimate, frames, T, others, see_yaw):
+        directions.append(None if see_yaw is None else see_yaw(estimate))
+
+    stages.replace("refit_turned", turned)
+    placed, network = {mug.id: mug, can.id: can}, stages.perception.detector
+    assert verify(placed, [overhead_frame], network) == {mug.id: SEEN, can.id: SEEN}
+    ((estimate,), known) = asked[0]
+    assert directions == [0.5] and estimate is mug and known["network"] is network
+    assert known["others"] == [can] and known["frames"] == [overhead_frame]
+    verify(placed, [overhead_frame])
+    assert directions == [0.5, None] and len(asked) == 1

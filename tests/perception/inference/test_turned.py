@@ -71,3 +71,36 @@ def test_poses_turn_about_the_axis_of_the_body(mug, estimate) -> None:
     np.testing.assert_allclose(
         pose.rotation, mug.pose.rotation @ so3_exp(np.array([0, 0, np.deg2rad(70.0)])), atol=1e-12
     )
+
+
+def test_what_the_network_sees_as_expected_was_not_turned_far(mug, estimate, frames) -> None:
+    """Whatever depth says; slight turns are left to depth."""
+    T, asked = expected(mug, estimate, -136), []
+
+    def see(at):
+        asked.append(at)
+        return nearest_yaw(T) + np.deg2rad(25)
+
+    assert refit_turned(estimate, frames, T, see_yaw=see) is None
+    # The network is asked about the mug where it stands.
+    np.testing.assert_allclose(asked[0].T_world_object[:3, 3], T[:3, 3], atol=0.01)
+    for degrees in (24, -24):
+        near = expected(mug, estimate, degrees)
+        check = refit_turned(estimate, frames, near, see_yaw=lambda at, T=near: nearest_yaw(T) - 2 * np.pi)
+        if check is not None:
+            assert nearest_yaw(check.T_world_object) == pytest.approx(0.8, abs=np.deg2rad(9))
+
+
+@pytest.mark.parametrize("yaw", [None, -2.5, 0.8])
+def test_another_direction_that_the_network_sees_is_no_evidence(mug, estimate, frames, yaw) -> None:
+    T = expected(mug, estimate, -136)
+    alone = refit_turned(estimate, frames, T)
+    check = refit_turned(estimate, frames, T, see_yaw=lambda at: yaw)
+    np.testing.assert_array_equal(check.T_world_object, alone.T_world_object)
+
+
+def test_a_handle_that_depth_shows_as_expected_needs_no_network(mug, estimate, frames) -> None:
+    def fail(at):
+        raise AssertionError
+
+    assert refit_turned(estimate, frames, expected(mug, estimate, 0.0), see_yaw=fail) is None
