@@ -68,11 +68,15 @@ class Stages:
         uses_deviations = request.uncertainty and request.reconstruction is None
         self.latest: list[ObjectOutcome] = []
         self._looked_closer = False
-        self._handles = perception.detector if request.reconstruction is None else None
         self._left = list(self._space.further_viewpoints(request.scan_views)) if uses_deviations else []
         self.scanner = ViewpointScanner(
             robot, self.kinematics, keep_out=self._space.keep_out, via_heights=self._space.via_heights
         )
+
+    @property
+    def _handles(self) -> Completer | None:
+        """Network that tells the directions of mugs' handles; None where depth alone does."""
+        return self.perception.detector if self.request.reconstruction is None else None
 
     def scan_and_begin(self, count: int) -> tuple[list[RgbdFrame], Sequence[ObjectEstimate]]:
         """Take images of the table; return them with the objects of the first half of them.
