@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from manipulation.types import Grasp
-from perception.geometry import nearest_yaw
+from perception.geometry import nearest_yaw, wrapped_angle
 from perception.obstacles.obstacle import PerceivedObstacle
 
 Poses = Mapping[str, Float[np.ndarray, "4 4"]]  # T_world_stand by name
@@ -159,5 +159,4 @@ def is_turned(
 
 def turn_between(T_expected: Float[np.ndarray, "4 4"], T_seen: Float[np.ndarray, "4 4"]) -> float:
     """Return the angle [rad] in [-pi, pi) by which an object was turned about the vertical."""
-    difference = nearest_yaw(T_seen) - nearest_yaw(T_expected)
-    return float((difference + np.pi) % (2 * np.pi) - np.pi)
+    return wrapped_angle(nearest_yaw(T_seen) - nearest_yaw(T_expected))

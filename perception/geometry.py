@@ -94,6 +94,11 @@ def nearest_yaw(T: Float[np.ndarray, "4 4"]) -> float:
     return float(np.arctan2(T[1, 0] - T[0, 1], T[0, 0] + T[1, 1]))
 
 
+def wrapped_angle(angle: float) -> float:
+    """Return the equal angle [rad] in [-pi, pi)."""
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
 def levelled(T: Float[np.ndarray, "4 4"], height: float) -> Float[np.ndarray, "4 4"]:
     """Return a pose without its tilt, with the same x and y and its origin at a height [m]."""
     return pose_from_yaw(nearest_yaw(T), np.array([T[0, 3], T[1, 3], height]))

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from perception.detection.completion import Completer
 from perception.detection.yaw import fuse_yaws
-from perception.geometry import invert, nearest_yaw, pose_from_yaw, transform_points
+from perception.geometry import invert, nearest_yaw, pose_from_yaw, transform_points, wrapped_angle
 from perception.inference.observation import pixel_rays
 from perception.metrics import SurfaceSamples
 from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
@@ -77,12 +77,12 @@ def turned_to_handle(
     yaw = handle_yaw(estimate, frames, others, plane, network)
     if yaw is None:
         return None
-    turn = (yaw - nearest_yaw(estimate.T_world_object) + np.pi) % (2 * np.pi) - np.pi
+    turn = wrapped_angle(yaw - nearest_yaw(estimate.T_world_object))
     if abs(turn) < LEAST_TURN:
         return None
     about = np.eye(4)
     about[:3, 3] = body_axis(estimate)
-    T = estimate.T_world_object @ about @ pose_from_yaw(float(turn), np.zeros(3)) @ invert(about)
+    T = estimate.T_world_object @ about @ pose_from_yaw(turn, np.zeros(3)) @ invert(about)
     return replace(estimate, T_world_object=T)
 
 
@@ -185,4 +185,4 @@ def sure_direction(probabilities: Float[np.ndarray, "b"]) -> float | None:
     if probabilities[near].sum() < SURE:
         return None
     mean = best + np.average(offsets[near], weights=probabilities[near])
-    return float((mean + np.pi) % (2 * np.pi) - np.pi)
+    return wrapped_angle(float(mean))

@@ -4,8 +4,9 @@ A pose fit from the expected pose does not find the handle elsewhere: beside the
 the handle is out of its reach. Where the handle is not seen where it is expected, the mug is therefore turned
 about the axis of its body in steps, each with a fit of its own, and the number of pixels that agree decides.
 It was turned only if depth shows the handle there: where the handle is hidden, a little more agreement of
-the body with what is measured says nothing about it. Nor was it turned far where the yaw network sees it as
-expected: a shape that is a little off, and the walls of a box, mislead depth.
+the body with what is measured says nothing about it. Nor was it turned where the yaw network sees about the
+expected direction: an inaccurate shape and the walls of a box mislead depth. Small turns are found by the fit
+from the expected pose.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from perception.geometry import nearest_yaw
+from perception.geometry import nearest_yaw, wrapped_angle
 from perception.inference.handle import body_axis
 from perception.inference.handle_depth import shows_handle
 from perception.inference.pose_search import PoseSearch, RefitConfig
@@ -27,7 +28,6 @@ from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 TURNS = np.deg2rad(np.arange(15, 360, 15))  # about the axis of the body, of the initial poses
 CLEARLY = 0.05  # share of the visible pixels by which a turned mug must explain more
 AS_EXPECTED = np.deg2rad(30.0)  # between the pose and what the network sees, up to which they agree
-SLIGHT = TURNS[TURNS <= AS_EXPECTED]
 
 
 def refit_turned(
@@ -44,8 +44,8 @@ def refit_turned(
     Args:
         estimate, frames, T_expected, others, plane, config: As those of ``refit_pose``.
         see_yaw: Returns the direction of the handle about z that the network sees, in radians, for the
-            mug at its pose; None if it is not sure. Where it agrees with the expected one, the handle was
-            not turned far. It is no evidence for a turn: of 22 mugs in boxes whose handles were as expected,
+            mug at its pose; None if it is not sure. Where it agrees with the expected one, the mug was not
+            turned. It is no evidence for a turn: of 22 mugs in boxes whose handles were as expected,
             it was sure of another direction for six. None to go by depth alone.
 
     Returns:
@@ -57,21 +57,15 @@ def refit_turned(
     at_place = replace(estimate, T_world_object=ahead.T_world_object)
     if shows_handle(at_place, frames, others):
         return None
+    yaw = None if see_yaw is None else see_yaw(at_place)
+    if yaw is not None and abs(wrapped_angle(yaw - nearest_yaw(ahead.T_world_object))) <= AS_EXPECTED:
+        return None
     about = body_axis(estimate)
     last_pass = config.reaches[-1:]  # a wider reach lets the handle's depth shift the body
-    turns = TURNS
-    yaw = None if see_yaw is None else see_yaw(at_place)
-    if yaw is not None and abs(_between(yaw, nearest_yaw(ahead.T_world_object))) <= AS_EXPECTED:
-        turns = np.concatenate([SLIGHT, -SLIGHT])
-    starts = (ahead.turned(np.array([0.0, 0.0, turn]), about) for turn in turns)
+    starts = (ahead.turned(np.array([0.0, 0.0, turn]), about) for turn in TURNS)
     turned = max((search.refine(start, last_pass) for start in starts), key=search.gain)
     least = search.gain(ahead) + CLEARLY * sum(search.evidence(ahead))
     if search.gain(turned) <= least:
         return None
     is_seen = shows_handle(replace(estimate, T_world_object=turned.T_world_object), frames, others)
     return checked(search, turned, expected) if is_seen else None
-
-
-def _between(a: float, b: float) -> float:
-    """Return the angle from one direction to another, in -pi..pi."""
-    return (b - a + np.pi) % (2 * np.pi) - np.pi

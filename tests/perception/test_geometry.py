@@ -88,3 +88,15 @@ def test_a_levelled_pose_has_the_yaw_and_place_without_the_tilt() -> None:
     assert abs(geometry.nearest_yaw(tilted) - 0.4) < 1e-12
     np.testing.assert_allclose(geometry.levelled(tilted, 0.1), upright, atol=1e-12)
     np.testing.assert_allclose(geometry.levelled(tilted, 0.033)[:3, 3], (0.5, 0.2, 0.033))
+
+
+@pytest.mark.parametrize(
+    ("angle", "wrapped"),
+    [(0.5, 0.5), (-0.5, -0.5), (4.0, 4.0 - 2 * np.pi), (-4.0, 2 * np.pi - 4.0), (7.0, 7.0 - 2 * np.pi)],
+)
+def test_angles_are_wrapped(angle, wrapped):
+    assert geometry.wrapped_angle(angle) == pytest.approx(wrapped, abs=1e-12)
+
+
+def test_half_a_turn_is_wrapped_to_the_lower_end():
+    assert geometry.wrapped_angle(np.pi) == geometry.wrapped_angle(-np.pi) == -np.pi

@@ -73,8 +73,8 @@ def test_poses_turn_about_the_axis_of_the_body(mug, estimate) -> None:
     )
 
 
-def test_what_the_network_sees_as_expected_was_not_turned_far(mug, estimate, frames) -> None:
-    """Whatever depth says; slight turns are left to depth."""
+def test_what_the_network_sees_as_expected_was_not_turned(mug, estimate, frames) -> None:
+    """Whatever depth says."""
     T, asked = expected(mug, estimate, -136), []
 
     def see(at):
@@ -84,11 +84,7 @@ def test_what_the_network_sees_as_expected_was_not_turned_far(mug, estimate, fra
     assert refit_turned(estimate, frames, T, see_yaw=see) is None
     # The network is asked about the mug where it stands.
     np.testing.assert_allclose(asked[0].T_world_object[:3, 3], T[:3, 3], atol=0.01)
-    for degrees in (24, -24):
-        near = expected(mug, estimate, degrees)
-        check = refit_turned(estimate, frames, near, see_yaw=lambda at, T=near: nearest_yaw(T) - 2 * np.pi)
-        if check is not None:
-            assert nearest_yaw(check.T_world_object) == pytest.approx(0.8, abs=np.deg2rad(9))
+    assert refit_turned(estimate, frames, T, see_yaw=lambda at: nearest_yaw(T) - 2 * np.pi) is None
 
 
 @pytest.mark.parametrize("yaw", [None, -2.5, 0.8])
