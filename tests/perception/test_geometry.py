@@ -1,6 +1,7 @@
 """Group axioms of SO(3) and SE(3), sampled near the identity and near half a turn on purpose."""
 
 import numpy as np
+import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
