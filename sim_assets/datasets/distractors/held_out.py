@@ -104,10 +104,8 @@ def shoe(rng: np.random.Generator) -> Mesh:
     sole.vertices[:, 2] = np.clip(sole.vertices[:, 2], 0, 0.022)
     toe = ball((0.3 * length, 0.45 * width, 0.045), (0.2 * length, 0, 0.022))
     toe.vertices[:, 2] = np.maximum(toe.vertices[:, 2], 0.015)
-    shaft = lathe(
-        [(0.44 * width, 0), (0.46 * width, 0), (0.4 * width, 0.075), (0.36 * width, 0.075), (0.4 * width, 0)],
-        24,
-    )
+    outer, inner = [(0.46, 0), (0.4, 0.075)], [(0.36, 0.075), (0.4, 0), (0.46, 0)]
+    shaft = lathe([(across * width, z) for across, z in (*outer, *inner)], 24)
     shaft.apply_scale((0.26 * length / (0.45 * width), 1, rng.uniform(0.8, 1.6)))
     upper = moved(shaft, -0.2 * length, 0, 0.015)
     return thing(
