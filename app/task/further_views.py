@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from manipulation.errors import PlanningError
 from manipulation.grasps import grasp_candidates
@@ -14,6 +15,7 @@ from manipulation.robot import ArmDescription
 from manipulation.standing import to_standing
 from manipulation.viewpoints import Viewpoint
 from perception.detection.geometry import project
+from perception.obstacles.obstacle import PerceivedObstacle
 from perception.types import ObjectEstimate, RejectedObject, RgbdFrame
 
 WHOLE = 0.98  # share of an object's vertices within an image, from which on that shows it whole
@@ -71,9 +73,24 @@ def cut_by_borders(
     return [(float(x), float(y)) for x, y in (e.T_world_object[:2, 3] for e in cut)]
 
 
+def things_never_whole(
+    obstacles: Sequence[PerceivedObstacle], frames: Sequence[RgbdFrame]
+) -> list[PerceivedObstacle]:
+    """Return the things of no class that no image shows whole: what they are cannot have been seen."""
+    return [
+        thing
+        for thing in obstacles
+        if not any(_is_within(frame, np.concatenate(thing.pieces)) for frame in frames)
+    ]
+
+
 def _shows_whole(frame: RgbdFrame, estimate: ObjectEstimate) -> bool:
     """Return whether almost all of an object is within an image, whatever hides it."""
-    pixels, depth = project(frame, estimate.mesh_world.vertices)
+    return _is_within(frame, estimate.mesh_world.vertices)
+
+
+def _is_within(frame: RgbdFrame, points: Float[np.ndarray, "n 3"]) -> bool:
+    pixels, depth = project(frame, points)
     size = np.array([frame.intrinsics.width, frame.intrinsics.height])
     inside = ((pixels >= BORDER) & (pixels < size - BORDER)).all(axis=1) & (depth > 0)
     return bool(inside.mean() > WHOLE)

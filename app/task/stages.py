@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from app.task.fallen import LEANING
 from app.task.further_views import MOST_CLOSER, cut_by_borders, most_useful_viewpoint
+from app.task.hidden_places import revealing_viewpoints
 from app.task.observation import WristObserver
 from app.task.obstacles import (
     beside_box,
@@ -148,12 +149,16 @@ class Stages:
         return result, viewpoints
 
     def _further_viewpoints(self, result: TaskResult) -> Sequence[Viewpoint]:
-        """Return the viewpoint of an image that uncertain objects need, or, once, those of what borders cut.
+        """Return the viewpoints of images that are needed; none if nothing needs one, or none is left.
 
-        Empty if nothing needs one, or none is left.
+        They show where an object may be hidden, else what is uncertain, else, once, what borders cut.
         """
         if self._left:
-            arm = self.robot.arm
+            assert result.detections is not None
+            arm, area, plane = self.robot.arm, self.settings.free_area, table_of(result.detections).plane
+            hidden = revealing_viewpoints(result.frames, result.objects, area, self._left, plane)
+            if hidden:
+                return hidden
             found = most_useful_viewpoint(result.objects, result.rejected, self._left, arm, self.settings)
             if found is not None:
                 return (found,)

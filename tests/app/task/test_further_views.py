@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.task.further_views import BORDER, cut_by_borders, most_useful_viewpoint
+from app.task.further_views import BORDER, cut_by_borders, most_useful_viewpoint, things_never_whole
 from manipulation.planner import ManipulationConfig
 from manipulation.viewpoints import further_viewpoints, scan_viewpoints
+from perception.obstacles.obstacle import PerceivedObstacle
 from perception.types import CameraIntrinsics, RejectedObject, RgbdFrame
 from sim_assets.robots import panda
 
@@ -72,3 +73,14 @@ def test_what_is_behind_the_camera_is_not_seen(can_at):
     T = frame.T_world_camera.copy()
     T[2, 3] = -0.5
     assert len(cut_by_borders([can_at(0, 0.4)], [replace(frame, T_world_camera=T)] * 2)) == 1
+
+
+def test_a_thing_that_one_image_shows_whole_is_known():
+    """A block of 0.1 m width: half of it is beyond the border of an image of the table beside it."""
+    corners = np.array(list(np.ndindex(2, 2, 2))) - 0.5
+    block = PerceivedObstacle(
+        1, (0.05 * corners + (0.39, -0.2, 0.05), 0.05 * corners + (0.44, -0.2, 0.05)), 9
+    )
+    inside, half = seen_from(0.4), seen_from(0.4 + 0.55 * 160 / 300)
+    assert things_never_whole([block], [half, inside]) == []
+    assert things_never_whole([block], [half, half]) == [block]

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from app.task.hidden_places import HEIGHT, NARROWEST, may_hide_an_object, widest_hidden
+from app.task.hidden_places import HEIGHT, NARROWEST, may_hide_an_object, revealing_viewpoints, widest_hidden
+from manipulation.viewpoints import Viewpoint
 from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
 
 CAMERA = CameraIntrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
@@ -66,3 +67,34 @@ def test_places_are_on_the_given_plane():
     raised = widest_hidden([frame], [], AREA, SupportPlane(offset=0.2))
     assert raised == pytest.approx(widest_hidden([overhead(screen=(0.03, 0.3))], [], AREA))
     assert widest_hidden([frame], [], AREA) > 0.09, "below that table"
+
+
+def viewpoint(azimuth, x=0.5, elevation=60.0):
+    return Viewpoint((x, -0.2, 0.0), np.deg2rad(azimuth), np.deg2rad(elevation), 0.6)
+
+
+def test_what_is_hidden_behind_a_screen_is_looked_at_from_beside_it():
+    """The screen, 5 cm wide and 25 cm above the table, hides the same place from straight above it."""
+    behind = overhead(screen=(0.025, 0.25))
+    above, aside, away = viewpoint(0, elevation=89.9), viewpoint(90, elevation=50), viewpoint(90, x=3.0)
+    assert revealing_viewpoints([behind], [], AREA, [above, away, aside]) == [aside]
+    assert revealing_viewpoints([behind], [], AREA, [above, away]) == []
+    assert revealing_viewpoints([behind, overhead()], [], AREA, [aside]) == []
+    assert revealing_viewpoints([behind], [], AREA, []) == []
+
+
+def test_as_many_viewpoints_are_chosen_as_are_needed():
+    """All of a wide area is beyond the border, and one viewpoint shows a half of it."""
+    wide = ((0.1, 0.9), (-0.3, -0.1))
+    blind = overhead(x=3.0)
+    left, right, middle = viewpoint(0, 0.3, 89.9), viewpoint(0, 0.7, 89.9), viewpoint(0, 0.5, 89.9)
+    assert revealing_viewpoints([blind], [], ((0.45, 0.55), (-0.25, -0.15)), [middle, left]) == [middle]
+    assert set(revealing_viewpoints([blind], [], wide, [left, right])) == {left, right}
+
+
+def test_an_object_on_the_place_needs_no_viewpoint(can_at):
+    can = can_at(0, 0.5, -0.2)
+    radius = float(np.linalg.norm(can.mesh.vertices[:, :2], axis=1).max())
+    seen = overhead(screen=(radius, can.height))
+    assert revealing_viewpoints([seen], [can], AREA, [viewpoint(90, elevation=50)]) == []
+    assert revealing_viewpoints([seen], [], AREA, [viewpoint(90, elevation=30)]) != []

@@ -88,6 +88,32 @@ def test_the_scan_is_complete_where_nothing_more_can_be_seen(stages, error):
     assert len(run(StillRobot(), stages.perception, on).frames) == (6 if error is None else 1)
 
 
+def test_where_an_object_may_be_hidden_is_looked_at_before_what_is_uncertain(
+    stages,
+):
+    asked = []
+
+    def reveal(frames, objects, area, viewpoints, plane):
+        asked.append((len(frames), [e.id for e in objects], area, tuple(viewpoints), plane.offset))
+        return list(viewpoints[1:3]) if len(frames) == 1 else []
+
+    def choose(objects, rejected, viewpoints, arm, config):
+        asked.append(len(viewpoints))
+
+    stages.replace("detect", lambda frames, *_, **__: empty(len(frames)))
+    stages.replace("revealing_viewpoints", reveal)
+    stages.replace("most_useful_viewpoint", choose)
+    run(StillRobot(), stages.perception, TaskRequest("pack", scan_views=1, perceive_only=True))
+    area, left = ManipulationConfig().free_area, Workspace().further_viewpoints(1)
+    still_left, ids = (left[0], *left[3:]), [e.id for e in stages.objects]
+    assert asked == [
+        (1, ids, area, left, 0.0),
+        (2, ids, area, still_left, 0.0),
+        len(still_left),
+    ]
+    assert stages.scanner.visited[1] == left[1:3]
+
+
 def test_what_the_borders_cut_is_looked_at_from_nearby_once(stages, can_at):
     asked = []
 
