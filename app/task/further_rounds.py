@@ -19,7 +19,7 @@ from app.task.fallen import (
     with_lost_found,
     without_gone,
 )
-from app.task.further_views import MOST_CLOSER, things_never_whole
+from app.task.further_views import MOST_CLOSER
 from app.task.hidden_places import may_hide_an_object
 from app.task.nests import with_bowls_named
 from app.task.obstacles import bounds_of, filled_bounds, known_bounds, obstacles_during, table_of
@@ -68,7 +68,7 @@ class FurtherRounds:
         self._seen: ScannedRound | None = None  # by the last round but the first
         self._tried_in_box: set[int] = set()  # what was left in the box and has been planned for once more
         self._remeasured: set[int] = set()  # objects on the rows
-        self._has_looked_behind = False  # what was taken away, and at things that the scan shows in parts
+        self._has_looked_behind = False  # what was taken away
         self._nested: set[int] = set()  # bowls that were to go into others once all was packed
 
     def place_again(self, result: TaskResult) -> TaskResult | None:
@@ -162,15 +162,13 @@ class FurtherRounds:
         is_left = is_something_left(result, stages.latest)
         if not is_left and not self._may_hide_an_object(result):
             return None
-        never_whole = [] if self._has_looked_behind else things_never_whole(result.obstacles, result.frames)
         self._has_looked_behind = True
         try:
             if box is not None and is_something_lost(result):
                 result = with_lost_found(result, stages.look_into_box(), box)
             frames = stages.scan(FULL_SCAN if is_left else request.scan_views)
             n_scanned = len(frames)
-            places = [*places_of_left(stages.latest, box), *map(_middle, never_whole)]
-            frames += stages.capture_nearby(places[:MOST_CLOSER])
+            frames += stages.capture_nearby(places_of_left(stages.latest, box)[:MOST_CLOSER])
             placed = list(placed_estimates(result).values())
             on_rows = () if box else placed
             known = [known_bounds(request.box), bounds_of(on_rows)]
@@ -179,9 +177,7 @@ class FurtherRounds:
             before = self._seen or ScannedRound(
                 result.frames, result.detections, result.rejected, result.objects
             )
-            left = [e.mesh_world.vertices for e in unplaced_estimates(result)]
-            left += [np.concatenate(thing.pieces) for thing in never_whole]
-            detections = with_judged(detections, frames, before, left, n_scanned)
+            detections = with_judged(detections, frames, before, unplaced_estimates(result), n_scanned)
             parts = parts_as_before(detections, frames, before, n_scanned)
             with observer.stage("reconstruct"):
                 for part in parts:
@@ -195,10 +191,10 @@ class FurtherRounds:
                 self._seen = ScannedRound(
                     frames, detections, tuple(observer.rejected[n_rejected:]), tuple(found)
                 )
-                in_box = left_in_box(result, box) if box else []
-                found += [estimate for estimate in in_box if estimate.id not in self._tried_in_box]
-                stuck = [estimate for estimate in in_box if estimate.id in self._tried_in_box]
-                self._tried_in_box |= {estimate.id for estimate in in_box}
+                left = left_in_box(result, box) if box else []
+                found += [estimate for estimate in left if estimate.id not in self._tried_in_box]
+                stuck = [estimate for estimate in left if estimate.id in self._tried_in_box]
+                self._tried_in_box |= {estimate.id for estimate in left}
                 table = table_of(detections)
                 others, any_box = [*placed, *stuck], box or request.box
                 obstacles = obstacles_during([*others, *found], frames, table, any_box, stages.robot.arm)
@@ -243,9 +239,3 @@ class FurtherRounds:
         """Return the rows of a task that sorts."""
         assert result.plan is not None
         return result.plan.lines or (self._stages.request.line,)
-
-
-def _middle(thing: PerceivedObstacle) -> tuple[float, float]:
-    """Return the middle (x, y) [m] of the bounds of a thing of no class."""
-    x, y = thing.bounds.mean(axis=0)[:2]
-    return float(x), float(y)

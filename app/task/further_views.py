@@ -75,13 +75,22 @@ def cut_by_borders(
 
 def things_never_whole(
     obstacles: Sequence[PerceivedObstacle], frames: Sequence[RgbdFrame]
-) -> list[PerceivedObstacle]:
-    """Return the things of no class that no image shows whole: what they are cannot have been seen."""
-    return [
-        thing
-        for thing in obstacles
-        if not any(_is_within(frame, np.concatenate(thing.pieces)) for frame in frames)
+) -> list[tuple[float, float]]:
+    """Return the places (x, y) [m] of the things of no class that no image shows whole.
+
+    What they are cannot have been seen: a mug on a can in the corner was taken for one (965295).
+
+    Args:
+        obstacles: Things of no class.
+        frames: Images with camera poses.
+    """
+    corners = [np.concatenate(thing.pieces) for thing in obstacles]
+    middles = [
+        (points.min(axis=0) + points.max(axis=0)) / 2
+        for points in corners
+        if not any(_is_within(frame, points) for frame in frames)
     ]
+    return [(float(x), float(y)) for x, y, _ in middles]
 
 
 def _shows_whole(frame: RgbdFrame, estimate: ObjectEstimate) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from app.task.fallen import LEANING
-from app.task.further_views import MOST_CLOSER, cut_by_borders, most_useful_viewpoint
+from app.task.further_views import MOST_CLOSER, cut_by_borders, most_useful_viewpoint, things_never_whole
 from app.task.hidden_places import revealing_viewpoints
 from app.task.observation import WristObserver
 from app.task.obstacles import (
@@ -142,30 +142,36 @@ class Stages:
             result = replace(result, objects=objects, rejected=tuple(observer.rejected))
             viewpoints = self._further_viewpoints(result)
             if not viewpoints:
-                observer.on_objects(objects)
                 obstacles = obstacles_beside(objects, result.frames, detections, request.box, self.robot.arm)
                 result = replace(result, obstacles=obstacles)
-                observer.on_obstacles(obstacles)
+                viewpoints = self._closer_viewpoints(result)
+            if not viewpoints:
+                observer.on_objects(objects)
+                observer.on_obstacles(result.obstacles)
         return result, viewpoints
 
     def _further_viewpoints(self, result: TaskResult) -> Sequence[Viewpoint]:
         """Return the viewpoints of images that are needed; none if nothing needs one, or none is left.
 
-        They show where an object may be hidden, else what is uncertain, else, once, what borders cut.
+        They show where an object may be hidden, else what is uncertain.
         """
-        if self._left:
-            assert result.detections is not None
-            arm, area, plane = self.robot.arm, self.settings.free_area, table_of(result.detections).plane
-            hidden = revealing_viewpoints(result.frames, result.objects, area, self._left, plane)
-            if hidden:
-                return hidden
-            found = most_useful_viewpoint(result.objects, result.rejected, self._left, arm, self.settings)
-            if found is not None:
-                return (found,)
+        if not self._left:
+            return ()
+        assert result.detections is not None
+        arm, area, plane = self.robot.arm, self.settings.free_area, table_of(result.detections).plane
+        hidden = revealing_viewpoints(result.frames, result.objects, area, self._left, plane)
+        if hidden:
+            return hidden
+        found = most_useful_viewpoint(result.objects, result.rejected, self._left, arm, self.settings)
+        return () if found is None else (found,)
+
+    def _closer_viewpoints(self, result: TaskResult) -> Sequence[Viewpoint]:
+        """Return, once, the viewpoints near what the borders of the images cut."""
         if self._looked_closer or self.request.reconstruction is not None:
             return ()
         self._looked_closer = True
-        return self._closeups(cut_by_borders(result.objects, result.frames)[:MOST_CLOSER])
+        places = cut_by_borders(result.objects, result.frames)
+        return self._closeups([*places, *things_never_whole(result.obstacles, result.frames)][:MOST_CLOSER])
 
     def capture_further(self, viewpoints: Sequence[Viewpoint]) -> list[RgbdFrame]:
         """Take images from further viewpoints; none if they are out of reach."""

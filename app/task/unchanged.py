@@ -59,7 +59,7 @@ def with_judged(
     detections: Detections,
     frames: Sequence[RgbdFrame],
     before: ScannedRound,
-    left: Sequence[Float[np.ndarray, "_n 3"]] = (),
+    left: Sequence[ObjectEstimate] = (),
     n_scanned: int | None = None,
 ) -> Detections:
     """Return the detections with the candidates marked that look as they did in images taken before.
@@ -68,14 +68,13 @@ def with_judged(
         detections: Detections in the images.
         frames: Images with camera poses, without the robot.
         before: The round before; without an image from each viewpoint of the scan nothing is marked.
-        left: World points [m] on each thing that is to be judged again, whether it has changed or not.
+        left: Objects that were found then and were not placed: they are fitted again.
         n_scanned: Number of the first images that are the scan, see ``_changed_places``; all if None.
     """
     changed = _changed_places(frames[:n_scanned], before.frames, detections.plane, with_hidden=True)
     if changed is None:
         return detections
-    places = [plan_coordinates(points, detections.plane) for points in left]
-    to_left, to_changed = _distance_to(places), _distance_to([changed])
+    to_left, to_changed = _distance_to(_places(left, detections.plane)), _distance_to([changed])
 
     def was_judged(candidate: LeftOut) -> bool:
         frame = frames[candidate.frame]

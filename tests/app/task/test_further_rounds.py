@@ -15,7 +15,6 @@ from manipulation.types import Box, Line, ObjectOutcome
 from manipulation.workspace import Workspace
 from perception.errors import PerceptionError
 from perception.geometry import pose_from_yaw
-from perception.obstacles.obstacle import PerceivedObstacle
 from perception.pipeline import Detections
 from perception.types import RejectedObject, SupportPlane, unclassified
 from tests.app.task.conftest import SEEN, Recording, StillRobot
@@ -352,29 +351,6 @@ def test_true_shapes_are_not_measured(sorted_cans, can_at):
     shapes = lambda frames, detections: [can_at(0), lying(can_at(1, 0.5))]  # noqa: E731
     run(StillRobot(), sorted_cans.perception, TaskRequest("sort", reconstruction=shapes))
     assert sorted_cans.measured == [] and len(sorted_cans.executed) == 1
-
-
-def test_a_thing_that_the_scan_shows_in_parts_is_looked_at_and_judged_again(stages, pack_plan):
-    corners = np.array(list(np.ndindex(2, 2, 2))) - 0.5
-    thing = PerceivedObstacle(0, (0.1 * corners + (0.3, -0.07, 0.1),), 100)
-    asked, judged = [], []
-
-    def never_whole(obstacles, frames):
-        asked.append(len(frames))
-        return list(obstacles)
-
-    def with_judged(detections, frames, before, left, n_scanned):
-        judged.append((len(frames), n_scanned, [p.mean(axis=0).round(3).tolist() for p in left]))
-        return detections
-
-    stages.replace("obstacles_beside", lambda *args: (thing,))
-    stages.replace("things_never_whole", never_whole)
-    stages.replace("with_judged", with_judged)
-    stages.replace("detect", lambda frames, *_, **__: Detections(SupportPlane(), ((),) * len(frames)))
-    stages.replace("plan_pack", lambda *args: replace(pack_plan, left_out={}))
-    run(StillRobot(), stages.perception, TaskRequest("pack", Box(), rounds=3))
-    assert stages.scanner.visited[2] == Workspace().closeup_viewpoints(0.3, -0.07)
-    assert asked == [1] and judged[0][:2] == (2, 1) and judged[0][2][-1] == [0.3, -0.07, 0.1]
 
 
 @pytest.mark.parametrize(

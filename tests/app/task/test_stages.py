@@ -13,6 +13,7 @@ from manipulation.errors import PlanningError
 from manipulation.planner import ManipulationConfig
 from manipulation.types import Box
 from manipulation.workspace import Workspace
+from perception.obstacles.obstacle import PerceivedObstacle
 from perception.pipeline import Detections
 from perception.types import RejectedObject, SupportPlane
 from tests.app.task.conftest import DETECTOR, FOUND, SEEN, Recording, StillRobot
@@ -129,6 +130,24 @@ def test_what_the_borders_cut_is_looked_at_from_nearby_once(stages, can_at):
     assert stages.scanner.visited[1] == Workspace().closeup_viewpoints(0.3, -0.05) * MOST_CLOSER
     shapes = replace(request, reconstruction=lambda frames, detections: stages.objects)
     assert len(run(StillRobot(), stages.perception, shapes).frames) == 1, "true shapes are known whole"
+
+
+def test_a_thing_that_no_image_shows_whole_is_looked_at_from_nearby_once(stages):
+    corners = np.array(list(np.ndindex(2, 2, 2))) - 0.5
+    thing = PerceivedObstacle(0, (0.1 * corners + (0.3, -0.07, 0.1),), 100)
+    seen = []
+
+    def obstacles_beside(objects, frames, *args):
+        seen.append(len(frames))
+        return (thing,)
+
+    stages.replace("detect", lambda frames, *_, **__: empty(len(frames)))
+    stages.replace("obstacles_beside", obstacles_beside)
+    observer = Recording()
+    result = run(StillRobot(), stages.perception, TaskRequest("pack", perceive_only=True), observer)
+    assert seen == [1, 2] and len(result.frames) == 2 and result.obstacles == (thing,)
+    assert stages.scanner.visited[1] == Workspace().closeup_viewpoints(0.3, -0.07)
+    assert sum(isinstance(c, tuple) and c[0] == "objects" for c in observer.calls) == 1
 
 
 def test_without_uncertainty_the_plan_takes_shapes_as_exact(stages, can_at):

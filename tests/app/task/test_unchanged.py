@@ -75,7 +75,7 @@ def test_what_was_segmented_as_it_is_now_was_judged_whatever_was_taken_away_besi
         candidates(*things),
         [image(*things)],
         seen(image(*things, removed, *hidden, seed=1), detections=then),
-        [replace(left, T_world_object=at_near).mesh_world.vertices] if change == "left" else [],
+        [replace(left, T_world_object=at_near)] if change == "left" else [],
     )
     assert judged(marked) == [change == "none", True]
 
@@ -93,7 +93,7 @@ def test_an_object_that_was_left_is_fitted_again(things, can_at):
         candidates(*things),
         [image(*things)],
         seen(image(*things, seed=1)),
-        [replace(left, T_world_object=at_far).mesh_world.vertices],
+        [replace(left, T_world_object=at_far)],
     )
     assert judged(marked) == [True, False]
 
