@@ -78,18 +78,18 @@ def things_never_whole(
 ) -> list[tuple[float, float]]:
     """Return the places (x, y) [m] of the things of no class that no image shows whole.
 
-    What they are cannot have been seen: a mug on a can in the corner was taken for one (965295).
+    They may be objects: what they are cannot have been seen.
 
     Args:
         obstacles: Things of no class.
         frames: Images with camera poses.
     """
-    corners = [np.concatenate(thing.pieces) for thing in obstacles]
-    middles = [
-        (points.min(axis=0) + points.max(axis=0)) / 2
-        for points in corners
-        if not any(_is_within(frame, points) for frame in frames)
-    ]
+
+    def is_whole(thing: PerceivedObstacle) -> bool:
+        corners = np.concatenate(thing.pieces)
+        return any(_is_within(frame, corners) for frame in frames)
+
+    middles = [thing.bounds.mean(axis=0) for thing in obstacles if not is_whole(thing)]
     return [(float(x), float(y)) for x, y, _ in middles]
 
 
@@ -99,6 +99,7 @@ def _shows_whole(frame: RgbdFrame, estimate: ObjectEstimate) -> bool:
 
 
 def _is_within(frame: RgbdFrame, points: Float[np.ndarray, "n 3"]) -> bool:
+    """Return whether almost all of some world points [m] are within an image."""
     pixels, depth = project(frame, points)
     size = np.array([frame.intrinsics.width, frame.intrinsics.height])
     inside = ((pixels >= BORDER) & (pixels < size - BORDER)).all(axis=1) & (depth > 0)

@@ -140,7 +140,7 @@ def _hidden(frames: Sequence[RgbdFrame], places: _Places) -> Bool[np.ndarray, "n
 
 
 def _measured(frame: RgbdFrame) -> Float[np.ndarray, "n 3"]:
-    """Return every fourth measured point of every fourth row in world coordinates [m]."""
+    """Return the world points [m] measured at every fourth pixel of every fourth row."""
     mask = np.zeros(frame.depth.shape, bool)
     mask[::4, ::4] = True
     return points_of(frame, mask & (frame.depth > 0))

@@ -89,9 +89,7 @@ def test_the_scan_is_complete_where_nothing_more_can_be_seen(stages, error):
     assert len(run(StillRobot(), stages.perception, on).frames) == (6 if error is None else 1)
 
 
-def test_where_an_object_may_be_hidden_is_looked_at_before_what_is_uncertain(
-    stages,
-):
+def test_hidden_places_are_looked_at_before_what_is_uncertain(stages):
     asked = []
 
     def reveal(frames, objects, area, viewpoints, plane):
