@@ -23,9 +23,9 @@ from manipulation.viewpoints import Viewpoint, ViewpointScanner
 from manipulation.workspace import Workspace
 from perception.depth_cleaning import clean_frame
 from perception.detection.completion import Completer
-from perception.detection.geometry import points_of
+from perception.detection.geometry import in_image, points_of, project
 from perception.errors import PerceptionError
-from perception.geometry import levelled, nearest_yaw, pose_from_yaw
+from perception.geometry import levelled, nearest_yaw, pose_from_yaw, transform_points
 from perception.inference.depth_votes import Region, SearchScene
 from perception.inference.handle import turned_to_handle
 from perception.inference.handle_depth import shows_handle
@@ -49,6 +49,7 @@ GOAL_REGION: Region = ((0.05, 0.85), (0.06, 0.62))  # [m] of the table on the si
 SEARCH_VIEWS = 4  # images of a search
 NEIGHBOURHOOD = 0.2  # [m] between the axes of an object and of others that may explain depth beside it
 MIN_PIXELS = 1500  # visible pixels of an object in one image, for a decision
+MIN_IN_IMAGE = 0.25  # share of its vertices in an image that tells that it is not where it was expected
 UNMOVED = RefitConfig(min_own=0.0)  # of an object at its pose in the object map
 MAX_TILT = np.deg2rad(20)  # of a pose that is fitted to an object that stood level
 
@@ -177,7 +178,21 @@ class WristObserver:
         return now
 
     def _presence(self, name: str, poses: Poses, frame: RgbdFrame) -> Presence:
-        """Return whether one image shows an object where it is expected."""
+        """Return whether one image shows an object where it is expected.
+
+        At the border of the image, shapes are fitted to what is beside them as well: that hardly any of an
+        object's expected place is in view does not tell that it has gone.
+        """
+        presence = self._presence_if_in_image(name, poses, frame)
+        is_cut = presence == "displaced" and self._share_in_image(name, poses, frame) < MIN_IN_IMAGE
+        return "unseen" if is_cut else presence
+
+    def _share_in_image(self, name: str, poses: Poses, frame: RgbdFrame) -> float:
+        """Return the share of an object's vertices that are in an image if it is where it is expected."""
+        vertices = transform_points(self._object_pose(name, poses), self._estimates[name].mesh.vertices)
+        return float(in_image(frame, *project(frame, vertices)).mean())
+
+    def _presence_if_in_image(self, name: str, poses: Poses, frame: RgbdFrame) -> Presence:
         check = self._check(name, poses, [frame])
         if check.status == "hidden" or check.visible_pixels < MIN_PIXELS:
             return "unseen"

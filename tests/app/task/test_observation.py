@@ -71,6 +71,18 @@ def test_a_glance(scene, can_at):
     assert scanner.visited == []
 
 
+@pytest.mark.parametrize(("offset", "presence"), [(0.0, "displaced"), (0.28, "displaced"), (0.31, "unseen")])
+def test_a_corner_of_an_object_does_not_tell_that_it_has_gone(scene, can_at, offset, presence):
+    watch, poses, answers, _ = scene
+    T = poses["can_0"].copy()
+    T[0, 3] += offset
+    for answers["check"], answer in (
+        (shifted(can_at, offset), "in_place"),
+        (shifted(can_at, offset + 0.02), presence),
+    ):
+        assert watch.glance({"can_0": T}, ("can_0",)) == {"can_0": answer}
+
+
 @pytest.mark.parametrize(("moved", "least"), [(0.0, 0.0), (0.1, RefitConfig().min_own)])
 def test_only_what_was_moved_must_be_told_from_what_is_below(scene, can_at, monkeypatch, moved, least):
     watch, poses, answers, _ = scene
