@@ -91,6 +91,9 @@ def reconstruct_clutter(
         )
         return reconstruct(frames, parts, decoder, planes, options=silent)
 
+    def name_poses(parts: Rows) -> Rows:
+        return posed_detections(frames, parts, planes, completer)
+
     model = options.acceptance
     with single_threaded():
         weak = _uncertain(estimates, named, model)
@@ -126,7 +129,7 @@ def reconstruct_clutter(
             instances = gather_instances(frames, rows, options.max_views)
             alone = [views for views in instances if views.id in support and views.id not in stacks]
             single |= on_hidden_supports(alone, single, support, decoder, model)
-        single |= renamed(frames, named, single, lambda doubtful: fit(doubtful, {}))
+        single |= renamed(frames, named, single, name_poses, lambda doubtful: fit(doubtful, {}))
         single |= completed(frames, rows, single, planes[0], lambda whole: fit(whole, {}))
         single = without_repetitions(frames, rows, single, candidates, parts)
         uncertain = _uncertain(single, named, model)

@@ -14,6 +14,7 @@ from perception.inference.reconstruct import mean_probabilities
 from perception.inference.recutting import instance_ids
 from perception.inference.stack_choice import CLEARLY, DOUBTFUL
 from perception.inference.stack_parts import Rows, instance_points
+from perception.inference.stray_parts import without_stray_parts
 from perception.types import (
     CATEGORIES,
     OTHER,
@@ -36,38 +37,33 @@ def renamed(
     frames: Sequence[RgbdFrame],
     rows: Rows,
     estimates: Mapping[int, ObjectEstimate],
+    name: Callable[[Rows], Rows],
     fit: Callable[[Rows], Sequence[ObjectEstimate]],
 ) -> dict[int, ObjectEstimate]:
     """Return estimates of detected objects that another class in another pose explains clearly better.
 
     A mug upside down, for instance, is named a can by the networks, and its handle is left unexplained. What
-    stands upright is of no class that the class network rules out.
+    their masks have of other things, across a gap, is left out. What stands upright is of no class that the
+    class network rules out.
 
     Args:
         frames: Views with camera poses.
         rows: Associated detections of each frame.
         estimates: Estimates with the classes of the detections, by id.
+        name: Returns detections with probabilities of classes in all resting poses.
         fit: Reconstructs instances; detections without an id only occlude others.
     """
-    known = instance_ids(rows)
-    points = {id: instance_points(frames, rows, id) for id in estimates if id in known}
-    before = {id: unexplained(points[id], [estimates[id]]) for id in points}
-    doubtful = {id for id, share in before.items() if share > DOUBTFUL}
+    known = sorted(instance_ids(rows) & estimates.keys())
+    measured = {id: instance_points(frames, rows, id) for id in known}
+    doubtful = [id for id in known if unexplained(measured[id], [estimates[id]]) > DOUBTFUL]
     if not doubtful:
         return {}
-    nameless = [
-        [
-            replace(
-                unclassified(d.mask, d.instance_id),
-                pose_probabilities=d.pose_probabilities,
-                axis_probabilities=d.axis_probabilities,
-            )
-            if d.instance_id in doubtful
-            else replace(d, instance_id=None)
-            for d in row
-        ]
-        for row in rows
-    ]
+    rows = without_stray_parts(frames, rows, estimates, doubtful)
+    points = {id: instance_points(frames, rows, id) for id in doubtful}
+    before = {id: unexplained(points[id], [estimates[id]]) for id in doubtful}
+    own = [[_nameless(d) for d in row if d.instance_id in doubtful] for row in rows]
+    others = [[replace(d, instance_id=None) for d in row if d.instance_id not in doubtful] for row in rows]
+    nameless = [[*named, *rest] for named, rest in zip(name(own), others, strict=True)]
     return {
         e.id: e
         for e in fit(nameless)
@@ -75,6 +71,10 @@ def renamed(
         and not _is_ruled_out(e, rows)
         and unexplained(points[e.id], [e]) < CLEARLY * before[e.id]
     }
+
+
+def _nameless(detection: ObjectDetection) -> ObjectDetection:
+    return replace(unclassified(detection.mask, detection.instance_id), support=detection.support)
 
 
 def _is_ruled_out(estimate: ObjectEstimate, rows: Rows) -> bool:

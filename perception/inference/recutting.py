@@ -83,8 +83,8 @@ class Recutting:
     ) -> tuple[Rows, dict[int, ObjectEstimate]]:
         """Return the detections with instances cut between two colours, and the estimates of pieces, by id.
 
-        Of those that may lie, where the fit to a piece is kept: beside what an object touches there need not
-        be a crease.
+        Where the fit to a piece that may lie is kept: beside what an object touches there need not be a
+        crease. Whether it may lie shows when it has been cut off from what is upright beside it.
 
         Args:
             rows: Associated detections of each frame.
@@ -94,7 +94,7 @@ class Recutting:
         """
         pieces: dict[int, int] = {}  # ids of the instances, by those of their pieces
         cut: list[list[ObjectDetection]] = [[] for _ in rows]
-        for id in sorted(id for id in ids if _may_lie(rows, id)):
+        for id in sorted(ids):
             own = {k: d for k, row in enumerate(rows) for d in row if d.instance_id == id}
             found = color_pieces({k: ObjectObservation(self.frames[k], d.mask) for k, d in own.items()})
             if found is None:
@@ -108,8 +108,11 @@ class Recutting:
         if not pieces:
             return rows, {}
         named = posed_detections(self.frames, cut, self.planes, self.completer)
+        lying = {piece for piece in pieces if _may_lie(named, piece)}
+        if not lying:
+            return rows, {}
         recut = _recut(rows, set(pieces.values()), named)
-        kept = {e.id: e for e in self.fit(_only(recut, instance_ids(named))) if is_kept(e, recut)}
+        kept = {e.id: e for e in self.fit(_only(recut, lying)) if is_kept(e, recut)}
         gone = {pieces[piece] for piece in kept}
         halves = {piece for piece, id in pieces.items() if id in gone}
         return _recut(rows, gone, [[d for d in row if d.instance_id in halves] for row in named]), kept

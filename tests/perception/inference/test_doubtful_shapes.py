@@ -8,6 +8,7 @@ import pytest
 
 from perception.inference import doubtful_shapes
 from perception.inference.doubtful_shapes import POSSIBLE, WORSE, completed, renamed
+from perception.inference.stack_choice import CLEARLY
 from perception.types import POSED_CLASSES, ObjectDetection, SupportPlane
 from tests.perception.bare_estimates import FRAME, MASK, found
 
@@ -27,8 +28,47 @@ def test_the_class_network_may_rule_out_what_stands_upright(monkeypatch, can, re
     )
     views = [np.array([0.0, 1.0 - p, 0.0, p, 0.0]) for p in (0.0, can)]
     rows = [[ObjectDetection("bowl", 1.0, MASK, instance_id=0, class_probabilities=p)] for p in views]
-    known = renamed([FRAME, FRAME], rows, {0: bowl}, lambda nameless: [fitted])
+    monkeypatch.setattr(doubtful_shapes, "without_stray_parts", lambda frames, rows, estimates, ids: rows)
+    known = renamed([FRAME, FRAME], rows, {0: bowl}, lambda rows: rows, lambda nameless: [fitted])
     assert known == ({0: fitted} if is_renamed else {})
+
+
+@pytest.mark.parametrize(("after", "is_renamed"), [(0.4, True), (0.6, False)])
+def test_what_is_joined_across_a_gap_is_left_out_before_others_are_tried(monkeypatch, after, is_renamed):
+    """Without a cable in its mask, a can is a mug upside down if that explains more of what is left."""
+    can, mug = found(0, category="can"), found(0, category="mug", resting="upside-down")
+    left = ~np.eye(4, dtype=bool)
+    shares = {(4, "can"): 1.0, (3, "can"): 1.0, (3, "mug"): CLEARLY * 2 * after}
+    monkeypatch.setattr(
+        doubtful_shapes,
+        "without_stray_parts",
+        lambda frames, rows, estimates, ids: [
+            [replace(d, mask=left) if d.instance_id in ids else d for d in row] for row in rows
+        ],
+    )
+    monkeypatch.setattr(
+        doubtful_shapes,
+        "instance_points",
+        lambda frames, rows, id: np.zeros((3 if (rows[0][0].mask == left).all() else 4, 3)),
+    )
+    monkeypatch.setattr(
+        doubtful_shapes, "unexplained", lambda points, shapes: shares[len(points), shapes[0].category]
+    )
+    turned = np.eye(10)[POSED_CLASSES.index(("mug", "upside-down"))]
+    fitted = []
+
+    def fit(rows):
+        fitted.extend(d for row in rows for d in row)
+        return [mug]
+
+    def name(rows):
+        return [[replace(d, pose_probabilities=turned) for d in row] for row in rows]
+
+    known = renamed([FRAME], [[replace(DETECTED, support=2), BESIDE]], {0: can}, name, fit)
+    assert known == ({0: mug} if is_renamed else {})
+    own, beside = fitted
+    assert (own.mask == left).all() and own.support == 2 and (own.pose_probabilities == turned).all()
+    assert beside.instance_id is None and (beside.mask == MASK).all()
 
 
 @pytest.mark.parametrize(

@@ -35,10 +35,14 @@ def columns(first, last):
     return mask
 
 
-def seen(id, first, last, lying=0.9):
+def likely_lying(lying):
     p = np.zeros(len(POSED_CLASSES) + 1)
     p[POSED_CLASSES.index(("bottle", "lying"))], p[-1] = lying, 1 - lying
-    return replace(unclassified(columns(first, last), id), pose_probabilities=p)
+    return p
+
+
+def seen(id, first, last, lying=0.9):
+    return replace(unclassified(columns(first, last), id), pose_probabilities=likely_lying(lying))
 
 
 def found(id, score):
@@ -208,23 +212,36 @@ def two_colors(monkeypatch):
     monkeypatch.setattr(recutting, "MIN_PIXELS", 1)
 
 
+def naming(monkeypatch, lying):
+    """Let the network name pieces, with the probability of a lying bottle of each."""
+
+    def posed(frames, rows, planes, completer):
+        return [
+            [replace(d, pose_probabilities=likely_lying(lying[d.instance_id])) for d in row] for row in rows
+        ]
+
+    monkeypatch.setattr(recutting, "posed_detections", posed)
+
+
 def test_what_touches_without_a_crease_is_parted_by_colour(monkeypatch, two_colors):
+    """Together with what it touches, no piece need look as if it lay."""
     fits = Fits(monkeypatch, {10: 0.9, 11: 0.4})
+    naming(monkeypatch, {10: LYING + 0.1, 11: LYING + 0.1, 12: LYING + 0.1, 13: LYING - 0.1})
     kept = lambda e, rows: e.score > 0.5 and e.id in instance_ids(rows)  # noqa: E731
-    rows, objects = fits.recutting.parted(halves(), {3, 5}, 10, kept)
+    rows, objects = fits.recutting.parted(halves(LYING - 0.1), {3, 5}, 10, kept)
     assert objects.keys() == {10} and instance_ids(rows) == {1, 5, 10, 11}, "nothing of 5 is an object"
     masks = {d.instance_id: d.mask for d in rows[0]}
     np.testing.assert_array_equal(masks[10], columns(0, 2))
     np.testing.assert_array_equal(masks[11], columns(2, 4))
     assert 11 not in instance_ids([rows[1]])
     (fitted,) = fits.rows
-    assert instance_ids(fitted) == {10, 11, 12, 13}
+    assert instance_ids(fitted) == {10, 11, 12}
 
 
-def test_what_does_not_lie_or_has_one_colour_is_not_parted(monkeypatch, two_colors):
+def test_what_has_no_lying_piece_or_one_colour_is_not_parted(monkeypatch, two_colors):
     fits = Fits(monkeypatch, {10: 0.9})
-    before = halves(LYING - 0.1)
-    assert fits.recutting.parted(before, {3}, 10, lambda *_: True) == (before, {})
-    monkeypatch.setattr(recutting, "color_pieces", lambda shown: None)
+    naming(monkeypatch, {10: LYING - 0.1, 11: LYING - 0.1})
     before = halves()
+    assert fits.recutting.parted(before, {3}, 10, lambda *_: True) == (before, {}) and not fits.rows
+    monkeypatch.setattr(recutting, "color_pieces", lambda shown: None)
     assert fits.recutting.parted(before, {3, 5}, 10, lambda *_: True) == (before, {}) and not fits.rows
