@@ -183,7 +183,7 @@ class WristObserver:
         At the border of the image, shapes are fitted to what is beside them as well: that hardly any of an
         object's expected place is in view does not tell that it has gone.
         """
-        presence = self._presence_if_in_image(name, poses, frame)
+        presence = self._apparent_presence(name, poses, frame)
         is_cut = presence == "displaced" and self._share_in_image(name, poses, frame) < MIN_IN_IMAGE
         return "unseen" if is_cut else presence
 
@@ -192,7 +192,8 @@ class WristObserver:
         vertices = transform_points(self._object_pose(name, poses), self._estimates[name].mesh.vertices)
         return float(in_image(frame, *project(frame, vertices)).mean())
 
-    def _presence_if_in_image(self, name: str, poses: Poses, frame: RgbdFrame) -> Presence:
+    def _apparent_presence(self, name: str, poses: Poses, frame: RgbdFrame) -> Presence:
+        """Return whether an object is where it is expected, by a fit to one image."""
         check = self._check(name, poses, [frame])
         if check.status == "hidden" or check.visible_pixels < MIN_PIXELS:
             return "unseen"

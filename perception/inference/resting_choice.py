@@ -28,7 +28,7 @@ LIKELY = 0.15  # least probability of each of them
 ABOUT = 0.05  # by how much the misfit of what the pose network is sure of may be larger
 # Probability of none of the classes in any pose from which on no shape is fitted. In six scans of clutter 18
 # of 48 candidates that no shape explained had more, and the 19 that one did had 0.39 at most.
-NONE = 0.9
+SURE_OF_NONE = 0.9
 UNKNOWN = 0.5  # least score of an object of no class, or in a pose that the networks were not trained on
 REVERSED: Mapping[RestingPose, RestingPose] = {
     "upright": "upside-down",
@@ -75,7 +75,7 @@ def fit_unnamed(fits: ObjectFits) -> ScoredFit:
     Raises:
         RejectedError: There is none, its score is below ``UNKNOWN``, or the pose network is sure of none.
     """
-    if fits.views.pose_probabilities.size and fits.views.pose_probabilities[-1] > NONE:
+    if fits.views.pose_probabilities.size and fits.views.pose_probabilities[-1] > SURE_OF_NONE:
         raise RejectedError(fits.views.category, 0.0, "the pose network names none of the classes")
     good: list[ScoredFit] = []
     for category, resting in nearest_hypotheses(fits.views, fits.decoder, fits.plane, fits.config):

@@ -45,7 +45,7 @@ def without_stray_parts(
     for id in sorted(ids):
         surface = SurfaceSamples.of(estimates[id].mesh_world, rng, SAMPLES).tree
         places = {(k, n): d for k, row in enumerate(rows) for n, d in enumerate(row) if d.instance_id == id}
-        views = {place: _View.of(cleaned[place[0]], d.mask, surface) for place, d in places.items()}
+        views = {place: _FarPixels.of(cleaned[place[0]], d.mask, surface) for place, d in places.items()}
         clouds = [KDTree(view.points[view.is_stray]) for view in views.values() if view.is_stray.any()]
         for (k, n), view in views.items():
             stray = view.stray(clouds)
@@ -55,36 +55,36 @@ def without_stray_parts(
 
 
 @dataclass(frozen=True)
-class _View:
+class _FarPixels:
     """Pixels of a mask that are far from the surface of the object's shape.
 
     Attributes:
-        far: The pixels.
+        image: Which pixels of the image they are.
         points: (n, 3) what they measure in the world frame, in metres.
         is_stray: Whether a gap is seen between each of them and the object.
     """
 
-    far: Bool[np.ndarray, "h w"]
+    image: Bool[np.ndarray, "h w"]
     points: Float[np.ndarray, "n 3"]
     is_stray: Bool[np.ndarray, "n"]
 
     @staticmethod
-    def of(frame: RgbdFrame, mask: Bool[np.ndarray, "h w"], surface: KDTree) -> _View:
-        """Find the connected pixels of which none is beside a measured point of the object."""
+    def of(frame: RgbdFrame, mask: Bool[np.ndarray, "h w"], surface: KDTree) -> _FarPixels:
+        """Find the far pixels of a mask; stray are connected ones of which none is beside a point that is near."""
         far = mask & (frame.depth > 0)
         points = points_of(frame, far)
         is_far = surface.query(points, distance_upper_bound=2 * FAR)[0] > FAR
         near, points = points[~is_far], points[is_far]
         far[far] = is_far
         if not len(near) or not len(points):
-            return _View(far, points, np.zeros(len(points), bool))
+            return _FarPixels(far, points, np.zeros(len(points), bool))
         is_beside = KDTree(near).query(points, distance_upper_bound=2 * GAP)[0] < GAP
         labels = cv2.connectedComponents(far.astype(np.uint8))[1][far]
-        return _View(far, points, ~np.isin(labels, labels[is_beside]))
+        return _FarPixels(far, points, ~np.isin(labels, labels[is_beside]))
 
     def stray(self, clouds: Sequence[KDTree]) -> Bool[np.ndarray, "h w"]:
         """Return the pixels that are stray in this view or, by the stray points of all views, in enough."""
         seen = [cloud.query(self.points, distance_upper_bound=2 * GAP)[0] < GAP for cloud in clouds]
-        stray = self.far.copy()
+        stray = self.image.copy()
         stray[stray] = self.is_stray | (np.sum(seen, axis=0) >= VIEWS)
         return stray

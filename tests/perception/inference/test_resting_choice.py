@@ -11,7 +11,7 @@ from perception.inference.evidence import Evidence
 from perception.inference.fit_config import FitConfig
 from perception.inference.observation import ObjectViews
 from perception.inference.resting_choice import (
-    NONE,
+    SURE_OF_NONE,
     UNKNOWN,
     as_named,
     best_pose,
@@ -97,12 +97,12 @@ def test_of_no_class_the_highest_score_counts_if_it_is_high_enough(make_fits) ->
         fit_unnamed(make_fits({LYING: scored(LYING, 0.9, explained=0.5)}))
 
 
-@pytest.mark.parametrize("none", [NONE - 0.01, NONE + 0.01])
+@pytest.mark.parametrize("none", [SURE_OF_NONE - 0.01, SURE_OF_NONE + 0.01])
 def test_nothing_is_fitted_where_the_pose_network_is_sure_of_none(make_fits, none) -> None:
     fits = make_fits({LYING: scored(LYING)})
     p = np.append(np.full(len(POSED_CLASSES), (1 - none) / len(POSED_CLASSES)), none)
     fits = replace(fits, views=replace(fits.views, pose_probabilities=p))
-    if none < NONE:
+    if none < SURE_OF_NONE:
         assert fit_unnamed(fits).estimate.resting == "lying"
     else:
         with pytest.raises(RejectedError, match="names none"):
