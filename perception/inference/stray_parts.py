@@ -70,7 +70,7 @@ class _FarPixels:
 
     @staticmethod
     def of(frame: RgbdFrame, mask: Bool[np.ndarray, "h w"], surface: KDTree) -> _FarPixels:
-        """Find the far pixels of a mask; stray are connected ones of which none is beside a point that is near."""
+        """Find them; connected ones of which none is beside a near point of the mask are stray."""
         far = mask & (frame.depth > 0)
         points = points_of(frame, far)
         is_far = surface.query(points, distance_upper_bound=2 * FAR)[0] > FAR
