@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from perception.inference.clear_evidence import is_clear
 from perception.inference.explanation import unexplained
+from perception.inference.lost_ends import with_lost_ends
 from perception.inference.lost_parts import with_lost_parts
 from perception.inference.reconstruct import mean_probabilities
 from perception.inference.recutting import instance_ids
@@ -19,6 +20,7 @@ from perception.types import (
     CATEGORIES,
     OTHER,
     POSED_CLASSES,
+    Category,
     ObjectDetection,
     ObjectEstimate,
     PosedClass,
@@ -30,7 +32,12 @@ from perception.types import (
 POSSIBLE = 0.05  # probability in some view below which the class network rules a class out
 TURNED_MUGS: tuple[PosedClass, ...] = (("mug", "upside-down"), ("mug", "lying"))
 TURNED = 0.3  # least probability of a mug that lies or stands upside down, whose handle is looked for
+ROUND: Collection[Category] = ("bottle", "can")
+ABOUT = 0.005  # by how much larger the unexplained share may be with an end that several views show
 WORSE = 0.1  # by which the score of a lying object with the parts that its mask lacked may be lower
+
+# Whether the second of two estimates replaces the first, given the unexplained shares of the points of both.
+Replaces = Callable[[ObjectEstimate, ObjectEstimate, float, float], bool]
 
 
 def renamed(
@@ -105,7 +112,24 @@ def completed(
         fit: Reconstructs instances; detections without an id only occlude others.
     """
     turned = [id for id, e in estimates.items() if e.resting == "lying" or _may_be_turned_mug(e, rows)]
-    masks = with_lost_parts(frames, rows, estimates, turned, plane) if turned else {}
+    if not turned:
+        return {}
+    parts = with_lost_parts(frames, rows, estimates, turned, plane)
+    found = _completed(frames, rows, estimates, parts, fit, _has_lost_part)
+    left = [id for id in turned if id not in found and _is_round_and_lies(estimates[id])]
+    ends = with_lost_ends(frames, rows, {**estimates, **found}, left, plane)
+    return found | _completed(frames, rows, estimates, ends, fit, _has_lost_end)
+
+
+def _completed(
+    frames: Sequence[RgbdFrame],
+    rows: Rows,
+    estimates: Mapping[int, ObjectEstimate],
+    masks: Mapping[int, Sequence[np.ndarray | None]],
+    fit: Callable[[Rows], Sequence[ObjectEstimate]],
+    replaces: Replaces,
+) -> dict[int, ObjectEstimate]:
+    """Return the estimates from extended masks that replace those from the masks of the detections."""
     if not masks:
         return {}
     whole = [[_extended(d, masks, k) for d in row] for k, row in enumerate(rows)]
@@ -114,20 +138,32 @@ def completed(
     return {
         e.id: e
         for e in fit(whole)
-        if _is_completed(estimates[e.id], e, before[e.id], unexplained(points[e.id], [e]))
+        if replaces(estimates[e.id], e, before[e.id], unexplained(points[e.id], [e]))
     }
 
 
-def _is_completed(old: ObjectEstimate, new: ObjectEstimate, before: float, after: float) -> bool:
+def _has_lost_part(old: ObjectEstimate, new: ObjectEstimate, before: float, after: float) -> bool:
     """Return whether a fit with the lost parts replaces the one without, given what they leave unexplained.
 
     A handle tells a mug; what touches a lying bottle or can may be another thing.
     """
     if new.category == "mug":
         return after < before
-    same_kind = old.category in ("bottle", "can") and new.category in ("bottle", "can")
-    is_as_good = new.resting == old.resting == "lying" and new.score > old.score - WORSE
-    return same_kind and is_as_good and after < CLEARLY * before
+    return _is_same_kind(old, new) and after < CLEARLY * before
+
+
+def _has_lost_end(old: ObjectEstimate, new: ObjectEstimate, before: float, after: float) -> bool:
+    """Return the same for an end, which may be so small that it hardly counts."""
+    return _is_same_kind(old, new) and after < before + ABOUT
+
+
+def _is_same_kind(old: ObjectEstimate, new: ObjectEstimate) -> bool:
+    """Return whether a lying bottle or can is one with its lost parts, of about the same score."""
+    return _is_round_and_lies(old) and _is_round_and_lies(new) and new.score > old.score - WORSE
+
+
+def _is_round_and_lies(estimate: ObjectEstimate) -> bool:
+    return estimate.category in ROUND and estimate.resting == "lying"
 
 
 def _may_be_turned_mug(estimate: ObjectEstimate, rows: Rows) -> bool:

@@ -90,6 +90,7 @@ def test_parts_of_what_does_not_stand_are_looked_for(monkeypatch, category, rest
         return {}
 
     monkeypatch.setattr(doubtful_shapes, "with_lost_parts", with_lost_parts)
+    monkeypatch.setattr(doubtful_shapes, "with_lost_ends", lambda *_: {})
     row = [replace(DETECTED, pose_probabilities=np.eye(10)[pose])]
     estimates = {0: found(0, category=category, resting=resting)}
     assert completed((FRAME,), (row,), estimates, SupportPlane(), lambda rows: []) == {}
@@ -99,6 +100,7 @@ def test_parts_of_what_does_not_stand_are_looked_for(monkeypatch, category, rest
 def test_a_completed_mug_replaces_what_explains_less(monkeypatch):
     larger = ~np.eye(4, dtype=bool)
     monkeypatch.setattr(doubtful_shapes, "with_lost_parts", lambda *_: {0: [larger]})
+    monkeypatch.setattr(doubtful_shapes, "with_lost_ends", lambda *_: {})
     fitted = []
 
     def fit(rows):
@@ -128,9 +130,51 @@ def test_a_completed_mug_replaces_what_explains_less(monkeypatch):
 )
 def test_lost_parts_of_bottles_must_explain_more_than_handles(old, new, after, kept):
     first, second = (found(0, category=category, resting=resting) for category, resting in (old, new))
-    assert doubtful_shapes._is_completed(first, second, 0.2, after) == kept
+    assert doubtful_shapes._has_lost_part(first, second, 0.2, after) == kept
     if new[0] == "bottle":
         second = found(0, first.score - WORSE - 0.01, *new)
-        assert not doubtful_shapes._is_completed(first, second, 0.2, after), (
+        assert not doubtful_shapes._has_lost_part(first, second, 0.2, after), (
             "a neighbour's part makes a poor bottle"
         )
+
+
+@pytest.mark.parametrize("has_part", [False, True])
+def test_ends_are_looked_for_where_no_other_parts_were_found(monkeypatch, has_part):
+    larger, largest = ~np.eye(4, dtype=bool), np.ones((4, 4), bool)
+    monkeypatch.setattr(doubtful_shapes, "with_lost_parts", lambda *_: {0: [larger]} if has_part else {})
+    searched = []
+
+    def with_lost_ends(frames, rows, estimates, ids, plane):
+        searched.extend(ids)
+        return {id: [largest] for id in ids}
+
+    monkeypatch.setattr(doubtful_shapes, "with_lost_ends", with_lost_ends)
+    monkeypatch.setattr(doubtful_shapes, "instance_points", lambda *_: np.zeros((1, 3)))
+    shares = iter([0.2, 0.05] if has_part else [0.02, 0.021])
+    monkeypatch.setattr(doubtful_shapes, "unexplained", lambda points, shapes: next(shares))
+    fitted = []
+
+    def fit(rows):
+        fitted.extend(d.mask for row in rows for d in row if d.instance_id == 0)
+        return [found(0, category="bottle", resting="lying")]
+
+    estimates = {0: found(0, category="bottle", resting="lying"), 3: found(3, category="bottle")}
+    better = completed((FRAME,), ((DETECTED, BESIDE),), estimates, SupportPlane(), fit)
+    assert list(better) == [0] and searched == ([] if has_part else [0])
+    assert len(fitted) == 1 and (fitted[0] == (larger if has_part else largest)).all()
+
+
+@pytest.mark.parametrize(
+    ("new", "after", "kept"),
+    [
+        (("bottle", "lying"), 0.022, True),  # an end hardly counts
+        (("bottle", "lying"), 0.03, False),
+        (("mug", "lying"), 0.0, False),
+        (("bottle", "upright"), 0.0, False),
+    ],
+)
+def test_a_bottle_with_its_end_is_the_same_bottle(new, after, kept):
+    first, second = found(0, category="can", resting="lying"), found(0, category=new[0], resting=new[1])
+    assert doubtful_shapes._has_lost_end(first, second, 0.02, after) == kept
+    worse = found(0, first.score - WORSE - 0.01, *new)
+    assert not doubtful_shapes._has_lost_end(first, worse, 0.02, after)
