@@ -49,13 +49,20 @@ class CalibratedNetwork:
 
 @dataclass(frozen=True)
 class CropSplits:
-    """Labelled crops of each purpose; all but those of the tests are of the training families."""
+    """Labelled crops of each purpose; all but those of the tests are of the training families.
+
+    Attributes:
+        training: Crops of the first cycle.
+        validation: Crops for the calibration.
+        test: Crops of scenes as those of the first cycle.
+        second, second_test: Crops of the second cycle, and of scenes as its own; None without one.
+    """
 
     training: LabelledCrops
     validation: LabelledCrops
     test: LabelledCrops
-    stacked: LabelledCrops | None = None
-    stacked_test: LabelledCrops | None = None
+    second: LabelledCrops | None = None
+    second_test: LabelledCrops | None = None
 
 
 def train_cycles(
@@ -67,18 +74,18 @@ def train_cycles(
     progress: Progress | None,
     processes: int = 1,
 ) -> CalibratedNetwork:
-    """Train a network in one cycle, or in a second one on images with stacks too.
+    """Train a network in one cycle, or in a second one on other crops too.
 
     The second cycle has its checkpoint in the subfolder `second`.
     """
     validation = targets(crops.validation)
     data = TrainingData(targets(crops.training), validation)
-    if crops.stacked is None:
+    if crops.second is None:
         return train_ensemble(task, data, config, out_dir, progress, processes)
-    samples = [len(crops.training) * config.training.epochs, len(crops.stacked) * config.second.epochs]
+    samples = [len(crops.training) * config.training.epochs, len(crops.second) * config.second.epochs]
     share = samples[0] / sum(samples)
     first = train_ensemble(task, data, config, out_dir, stage_progress(progress, 0.0, share), processes)
-    data = TrainingData(targets(crops.stacked), validation)
+    data = TrainingData(targets(crops.second), validation)
     settings = replace(config, training=replace(config.second, seed=config.training.seed))
     part = stage_progress(progress, share, 1.0)
     return train_ensemble(task, data, settings, out_dir / "second", part, processes, first.network)

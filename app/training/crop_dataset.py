@@ -32,6 +32,8 @@ Split = Literal["train", "test"]
 PURITY = 0.8  # smallest share of a mask's object pixels that belong to the object it is labelled with
 COVERAGE = 0.4  # smallest share of that object's visible pixels inside the mask
 AROUND = 0.35  # share of the images with a false mask on things around the table, if there are any
+BODY = 0.25  # diameter of the discs that fill a mug's body, relative to the square root of its mask's area
+HANDLE_PART = 0.03  # least share of a mask that is handle, if it has one
 MIN_PIXELS = 150  # smallest number of visible pixels of an object with a mask
 
 
@@ -203,6 +205,29 @@ def perturb_masks(
     if image.surroundings is not None and rng.random() < AROUND:
         masks.append(_ellipse(image.instances.shape, image.surroundings, rng) & image.surroundings)
     return [mask for mask in masks if mask.sum() >= min_pixels]
+
+
+def bodies_of_mugs(
+    image: LabelledImage, masks: Sequence[Bool[np.ndarray, "h w"]]
+) -> list[Bool[np.ndarray, "h w"]]:
+    """Return the masks of upright mugs without their thin parts, where these are more than ``HANDLE_PART``.
+
+    So are those of the detector where a handle is hardly measured, as by active stereo, though it is in view.
+    """
+    bodies = []
+    for mask in masks:
+        inside = image.instances[mask & (image.instances >= 0)]
+        label = image.labels[int(np.bincount(inside).argmax())] if len(inside) else None
+        if label is None or label.ignored or label.category != "mug":
+            continue
+        side = 2 * round(BODY * float(np.sqrt(mask.sum())) / 2) + 1
+        window = bounding_window(mask, side)
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+        body = np.zeros_like(mask)
+        body[window] = cv2.morphologyEx(mask[window].astype(np.uint8), cv2.MORPH_OPEN, disc) > 0
+        if 0 < body.sum() < (1 - HANDLE_PART) * mask.sum():
+            bodies.append(body)
+    return bodies
 
 
 def _ellipse(

@@ -82,8 +82,8 @@ def run(
     part = stage_progress(progress, SCENE_SHARE, 1.0)
     trained = train_cycles("class", crops, class_targets, config, out_dir, part, processes)
     metrics = class_metrics(crops.test, trained.probabilities(crops.test))
-    if crops.stacked_test is not None:
-        stacked = class_metrics(crops.stacked_test, trained.probabilities(crops.stacked_test))
+    if crops.second_test is not None:
+        stacked = class_metrics(crops.second_test, trained.probabilities(crops.second_test))
         metrics |= {"accuracy_with_stacks": stacked["accuracy"]}
     trained.save(out_dir / WEIGHTS_FILES["class"], "class", config)
     card = model_card(config, metrics, scene, trained, crops)

@@ -23,9 +23,9 @@ def model_card(
 ) -> str:
     """Return the model card in Markdown: architecture, training, data, evaluation and limitations."""
     second = stacked = evaluated = ""
-    if crops.stacked is not None:
+    if crops.second is not None:
         second = _SECOND.format(second=config.second)
-        stacked = _STACKED.format(config=config, crops=len(crops.stacked), share=STACKED)
+        stacked = _STACKED.format(config=config, crops=len(crops.second), share=STACKED)
         evaluated = f", {metrics['accuracy_with_stacks']:.3f} on as many scenes with stacks in half of them"
     return _CARD.format(
         scene_parameters=sum(p.numel() for p in scene.parameters()),

@@ -118,8 +118,8 @@ def run(
     part = stage_progress(progress, RENDERING_SHARE, 1.0)
     trained = train_cycles("pose", crops, pose_targets, config, out_dir, part, resources.processes)
     metrics = pose_metrics(crops.test, trained.probabilities(crops.test))
-    if crops.stacked_test is not None:
-        stacked = pose_metrics(crops.stacked_test, trained.probabilities(crops.stacked_test))
+    if crops.second_test is not None:
+        stacked = pose_metrics(crops.second_test, trained.probabilities(crops.second_test))
         metrics |= {"accuracy_with_stacks": stacked["accuracy"]}
     trained.save(out_dir / WEIGHTS_FILES["pose"], "pose", config)
     card = _card(config, metrics, trained, crops)
@@ -227,9 +227,9 @@ def _card(
 ) -> str:
     """Return the model card in Markdown: architecture, training, data, evaluation and limitations."""
     second = stacked = evaluated = ""
-    if crops.stacked is not None:
+    if crops.second is not None:
         second = _SECOND.format(second=config.second)
-        stacked = _STACKED.format(config=config, crops=len(crops.stacked), share=STACKED)
+        stacked = _STACKED.format(config=config, crops=len(crops.second), share=STACKED)
         evaluated = f", {metrics['accuracy_with_stacks']:.3f} on as many scenes with stacks in half of them"
     return _CARD.format(
         parameters=sum(p.numel() for p in trained.network.parameters()), temperature=trained.temperature,

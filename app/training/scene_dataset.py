@@ -22,6 +22,7 @@ from app.training.crop_dataset import (
     LabelledCrops,
     Progress,
     Split,
+    bodies_of_mugs,
     label_crops,
     perturb_masks,
     perturb_plane,
@@ -42,6 +43,7 @@ SHARD = 100  # images per file
 MAX_THINGS = 24  # objects and distractors per image
 IGNORED = 255  # label of objects whose class is not to be learned
 ASTRAY = 0.3  # share of the masks with a part of a neighbour, and of those with a missing part
+MUGS = (9, 1, 1, 1)  # relative numbers of mugs, bowls, bottles and cans where most objects are mugs
 _DEPTH_STEP = 1e-4  # [m]
 _SIZE = (640, 480)
 
@@ -58,6 +60,7 @@ class Shard:
         count: Number of images.
         crops_only: Whether the images are not kept.
         stacked: Share of the images with objects on or in others.
+        mugs: Whether most objects are mugs, which have crops with masks that end at their bodies as well.
     """
 
     directory: Path
@@ -67,6 +70,7 @@ class Shard:
     count: int
     crops_only: bool = False
     stacked: float = 0.0
+    mugs: bool = False
 
     @property
     def scenes(self) -> Path:
@@ -158,6 +162,7 @@ def render_shards(
     *,
     crops_only: bool = False,
     stacked: float = 0.0,
+    mugs: bool = False,
 ) -> list[Shard]:
     """Render random scenes and return their shards; existing ones are reused.
 
@@ -170,12 +175,15 @@ def render_shards(
         progress: Called after every shard.
         crops_only: Whether only crops are kept, which are about a quarter of the data.
         stacked: Share of the images with objects on or in others.
+        mugs: Whether most objects are mugs, which have crops with masks that end at their bodies as well.
 
     Raises:
         PerceptionError: A shard could not be rendered.
     """
     shards = [
-        Shard(directory, split, seed, number, min(SHARD, pictures - number * SHARD), crops_only, stacked)
+        Shard(
+            directory, split, seed, number, min(SHARD, pictures - number * SHARD), crops_only, stacked, mugs
+        )
         for number in range(max(1, math.ceil(pictures / SHARD)))
     ]
     write_shards(shards, render_shard, workers, f"rendering {split} scenes", progress)
@@ -190,11 +198,14 @@ def render_shard(shard: Shard) -> Contents:
     rng = np.random.default_rng(seed.spawn(1)[0])
     scenes, crops = [], []
     config = replace(training_scene_config(), stacked=shard.stacked)
+    if shard.mugs:
+        config = replace(config, shares=MUGS)
     with TrainingScenes(shard.split, int(seed.generate_state(1)[0]), config) as source:
         for image in source.render(shard.count):
             if not shard.crops_only:
                 scenes.append(downscale_image(image))
             masks = perturb_masks(image, rng, astray=ASTRAY)
+            masks += bodies_of_mugs(image, masks) if shard.mugs else []
             crops.append(label_crops(image, perturb_plane(image.plane, rng), masks))
     packed = LabelledCrops.concatenate(crops).packed()
     return (packed, LabelledScenes.concatenate(scenes).packed()) if scenes else (packed,)

@@ -24,7 +24,7 @@ def random_crops():
     return LabelledCrops(images, np.zeros((n, 2), np.float32), label, yaw, np.zeros(n, np.float32))
 
 
-def test_the_second_cycle_goes_on_from_the_first_on_images_with_stacks(tmp_path, monkeypatch):
+def test_the_second_cycle_goes_on_from_the_first_on_other_crops(tmp_path, monkeypatch):
     calls, progress = [], []
 
     def fit(task, data, config, job, processes):
@@ -47,7 +47,7 @@ def test_the_second_cycle_goes_on_from_the_first_on_images_with_stacks(tmp_path,
     assert first[2].start is None and second[2].start is first[3] and trained.network is second[3]
     assert progress == [0.5, 1.0]  # as many crops in each cycle
     calls.clear()
-    train_cycles("class", replace(splits, stacked=None), class_targets, config, tmp_path, None)
+    train_cycles("class", replace(splits, second=None), class_targets, config, tmp_path, None)
     assert len(calls) == 1
 
 

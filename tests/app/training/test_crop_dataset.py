@@ -6,7 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.training.crop_dataset import LabelledCrops, handle_share, label_crops, perturb_masks, perturb_plane
+from app.training.crop_dataset import (
+    LabelledCrops,
+    bodies_of_mugs,
+    handle_share,
+    label_crops,
+    perturb_masks,
+    perturb_plane,
+)
 from perception.errors import PerceptionError
 from perception.types import CameraIntrinsics, RgbdFrame, SupportPlane
 from sim_assets.cell.layout import PlanarPose
@@ -159,3 +166,30 @@ def test_the_perturbed_plane_stays_near_its_own():
     tilt = [np.degrees(np.arccos(np.clip(p.normal @ plane.normal, -1, 1))) for p in drawn]
     assert 0.2 < np.mean(tilt) < 0.5 and np.std([p.offset for p in drawn]) == pytest.approx(0.0015, rel=0.2)
     assert all(np.linalg.norm(p.normal) == pytest.approx(1) for p in drawn)
+
+
+@pytest.mark.parametrize(
+    ("category", "handle", "has_body"),
+    [("mug", 24, True), ("mug", 0, False), ("bowl", 24, False), (None, 24, False)],
+)
+def test_bodies_are_masks_of_mugs_without_their_handles(category, handle, has_body):
+    image = picture([(category, 0.0)], [(100, 120, 30, 0)])
+    v, u = np.mgrid[: K.height, : K.width]
+    bar = (np.abs(v - 120) < 5) & (u > 100) & (u < 130 + handle)
+    image.instances[bar] = 0
+    mask = image.instances == 0
+    bodies = bodies_of_mugs(image, [mask, np.zeros_like(mask)])
+    assert len(bodies) == has_body
+    if has_body:
+        disc = np.hypot(u - 100, v - 120) < 30
+        assert (bodies[0] & disc).sum() > 0.97 * disc.sum()
+        assert not (bodies[0] & (u > 133)).any()
+
+
+def test_what_is_ignored_has_no_body():
+    """A mug that does not stand."""
+    image = picture([("mug", 0.0)], [(100, 120, 30, 0)])
+    v, u = np.mgrid[: K.height, : K.width]
+    image.instances[(np.abs(v - 120) < 5) & (u > 100) & (u < 154)] = 0
+    image.labels = (replace(image.labels[0], ignored=True),)
+    assert bodies_of_mugs(image, [image.instances == 0]) == []

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import app.training.scene_dataset as pictures
+from app.training.crop_dataset import LabelledCrops
 from app.training.scene_dataset import (
     IGNORED,
     LabelledScenes,
@@ -131,6 +132,34 @@ def test_a_share_of_the_images_of_a_shard_has_stacks(tmp_path, monkeypatch):
     render_shards(tmp_path, "train", 1, seed=3, crops_only=True, stacked=0.5)
     render_shards(tmp_path, "train", 1, seed=4, crops_only=True)
     assert used == [0.5, 0.0]
+
+
+def test_where_most_objects_are_mugs_these_have_crops_of_their_bodies_too(tmp_path, monkeypatch):
+    shares, asked = [], []
+
+    class Recorded(TrainingScenes):
+        def __init__(self, split, seed, config):
+            shares.append(config.shares)
+            super().__init__(split, seed, CONFIG)
+
+    def bodies(image, masks):
+        asked.append(len(masks))
+        return masks[:1]
+
+    monkeypatch.setattr("sim_assets.datasets.training_scenes.TrainingScenes", Recorded)
+    monkeypatch.setattr(pictures, "bodies_of_mugs", bodies)
+    monkeypatch.setattr(pictures, "label_crops", lambda image, plane, masks: crops_of(len(masks)))
+    (usual,) = render_shards(tmp_path, "train", 1, seed=3, crops_only=True)
+    (mugs,) = render_shards(tmp_path / "mugs", "train", 1, seed=3, crops_only=True, mugs=True)
+    assert shares == [training_scene_config().shares, pictures.MUGS] and len(asked) == 1
+    assert len(load_crops([mugs.crops])) == len(load_crops([usual.crops])) + 1 == asked[0] + 1
+
+
+def crops_of(n):
+    """Empty crops."""
+    zeros = np.zeros(n, np.float32)
+    images = np.zeros((n, 64, 64, 6), np.uint8)
+    return LabelledCrops(images, np.zeros((n, 2), np.float32), np.zeros(n, int), zeros, zeros)
 
 
 def test_a_failed_shard_ends_the_job(tmp_path, monkeypatch):

@@ -6,6 +6,7 @@ import pytest
 import app.training.detector as train_detector
 import app.training.yaw as train_yaw
 from app.training.crop_dataset import LabelledCrops
+from app.training.detector_config import RENDERING_SHARE
 from app.training.scene_dataset import Shard
 from perception.detection.crop_network import load_crop_network
 from perception.detection.crop_training import TrainingConfig
@@ -35,14 +36,48 @@ def no_rendering(monkeypatch):
     )
     monkeypatch.setattr(train_detector, "load_scenes", lambda shards: None)
     monkeypatch.setattr(train_detector, "train_scene", lambda *_: SceneNet())
+    monkeypatch.setattr(train_yaw, "load_crops", lambda shards: random_crops(7))
+    monkeypatch.setattr(
+        train_yaw,
+        "render_shards",
+        lambda folder, split, n, seed, *_, **__: [Shard(folder, split, seed, 0, n)],
+    )
 
 
 def test_the_yaw_job_learns_from_mugs_alone(tmp_path):
-    metrics = train_yaw.run(train_yaw.TrainYawConfig(training=TINY), tmp_path)
+    metrics = train_yaw.run(train_yaw.TrainYawConfig(training=TINY, second=TINY), tmp_path)
     load_crop_network("yaw", tmp_path / "yaw.safetensors")
-    assert metrics["mugs"] == 4
-    assert metrics["visible"]["mugs"] == 2 and metrics["hidden"]["mugs"] == 2
-    assert "| visible | 2 |" in (tmp_path / "yaw.md").read_text()
+    for figures in (metrics, metrics["bodies"]):
+        assert figures["mugs"] == 4
+        assert figures["visible"]["mugs"] == 2 and figures["hidden"]["mugs"] == 2
+    card = (tmp_path / "yaw.md").read_text()
+    assert "| visible | 2 |" in card and "| visible (as in the second cycle) | 2 |" in card
+    assert "4 crops of 6000 other images" in card
+
+
+def test_without_scenes_of_mugs_there_is_one_cycle(tmp_path):
+    config = train_yaw.TrainYawConfig(mugs=0)
+    crops = train_yaw.mug_crops(config, tmp_path, None)
+    assert crops.second is None and len(crops.training) == 4
+
+
+def test_more_mugs_are_rendered_for_the_second_cycle(tmp_path, monkeypatch):
+    calls, reported = [], []
+
+    def render(folder, split, pictures, seed, workers, progress, **options):
+        progress("rendering", 1.0)
+        calls.append((split, pictures, seed, options))
+        return [Shard(folder, split, seed, 0, pictures)]
+
+    monkeypatch.setattr(train_detector, "render_shards", render)
+    monkeypatch.setattr(train_yaw, "render_shards", render)
+    training = TrainingConfig(seed=11)
+    config = train_yaw.TrainYawConfig(pictures=8, validation=5, test=3, mugs=6, training=training)
+    train_yaw.mug_crops(config, tmp_path, lambda _, share: reported.append(share))
+    mugs = {"crops_only": True, "stacked": 0.5, "mugs": True}
+    assert [call[:3] for call in calls[:3]] == [("train", 8, 11), ("train", 5, 12), ("test", 3, 11)]
+    assert calls[3:] == [("train", 6, 15, mugs), ("test", 3, 15, mugs)]
+    assert reported == pytest.approx(RENDERING_SHARE * np.cumsum([8, 5, 3, 6, 3]) / 25)
 
 
 def test_yaw_metrics_of_known_errors():
