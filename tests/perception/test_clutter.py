@@ -48,6 +48,7 @@ class Scene:
         monkeypatch.setattr(selection, "continued_shares", self.continued_shares)
         monkeypatch.setattr(clutter, "Recutting", lambda *_: self)
         monkeypatch.setattr(doubtful_shapes, "with_lost_parts", lambda *_: {})
+        monkeypatch.setattr(doubtful_shapes, "with_lost_ends", lambda *_: {})
         monkeypatch.setattr(doubtful_shapes, "without_stray_parts", lambda frames, rows, *_: rows)
         for module in (doubtful_shapes, selection):
             monkeypatch.setattr(module, "instance_points", lambda frames, rows, id: self.points(id))
