@@ -53,6 +53,8 @@ def with_lost_ends(
         ids: Lying objects of round section whose ends are looked for.
         plane: Support plane.
     """
+    if not ids:
+        return {}
     rng = np.random.default_rng(0)
     surfaces = {id: SurfaceSamples.of(e.mesh_world, rng, _SAMPLES).points for id, e in estimates.items()}
     cleaned = [clean_frame(frame) for frame in frames]
