@@ -17,26 +17,22 @@ from scipy.spatial import KDTree
 
 from perception.depth_cleaning import beside_jumps, clean_frame
 from perception.detection.geometry import bounding_window, height_image, points_of
+from perception.inference.lost_parts import ABOVE, FAR, JUMP, MIN_PIXELS, SAMPLES, Rows
 from perception.metrics import SurfaceSamples
-from perception.types import ObjectDetection, ObjectEstimate, RgbdFrame, SupportPlane
+from perception.types import ObjectEstimate, RgbdFrame, SupportPlane
 
-FAR = 0.006  # [m] from the surface of a shape, from which on a measured point is not of it
-ABOVE = 0.008  # [m] over the support
 REACH = 1.0  # how far from a mask its ends, and what goes on beyond them, are looked for, in its longer sides
 LONGEST = 0.08  # [m] of an end
 GAP = 0.015  # [m] along the axis between the shape and an end of it
 END = 0.015  # [m] along the axis, of which the widest section is that of the shape's end
 WITHIN = 0.8  # least share of the pixels of a lost end that are no farther from the axis than that
-MIN_PIXELS = 25
-_JUMP = 0.02  # [m] of depth between neighbouring pixels of one surface
-_SAMPLES = 8000
 
 Mask = Bool[np.ndarray, "h w"]
 
 
 def with_lost_ends(
     frames: Sequence[RgbdFrame],
-    rows: Sequence[Sequence[ObjectDetection]],
+    rows: Rows,
     estimates: Mapping[int, ObjectEstimate],
     ids: Sequence[int],
     plane: SupportPlane,
@@ -56,7 +52,7 @@ def with_lost_ends(
     if not ids:
         return {}
     rng = np.random.default_rng(0)
-    surfaces = {id: SurfaceSamples.of(e.mesh_world, rng, _SAMPLES).points for id, e in estimates.items()}
+    surfaces = {id: SurfaceSamples.of(e.mesh_world, rng, SAMPLES).points for id, e in estimates.items()}
     cleaned = [clean_frame(frame) for frame in frames]
     found: dict[int, list[Mask | None]] = {}
     for id in ids:
@@ -114,7 +110,7 @@ class _Body:
         unknown, own = seen.copy(), seen.copy()
         unknown[seen] = (to_own > FAR) & (to_others > FAR)
         own[seen] = (to_own <= FAR) & (to_own < to_others)
-        unknown &= ~beside_jumps(unknown, frame.depth, _JUMP)
+        unknown &= ~beside_jumps(unknown, frame.depth, JUMP)
         labels = cv2.connectedComponents(unknown.astype(np.uint8))[1]
         is_end = np.zeros_like(mask)
         on_axis, is_next = np.zeros_like(mask), np.zeros_like(mask)

@@ -25,9 +25,9 @@ ABOVE = 0.008  # [m] over the support
 REACH = 0.7  # how far from a mask its parts are looked for, in its longer sides
 SMALLEST, LARGEST = 0.01, 0.6  # pixels of a part relative to those of the mask
 SAME = 0.02  # [m] between points of one part in different views, which may show its two sides
-_MIN_PIXELS = 25
-_JUMP = 0.02  # [m] of depth between neighbouring pixels of one surface
-_SAMPLES = 8000
+MIN_PIXELS = 25
+JUMP = 0.02  # [m] of depth between neighbouring pixels of one surface
+SAMPLES = 8000
 
 
 def with_lost_parts(
@@ -49,7 +49,7 @@ def with_lost_parts(
         plane: Support plane.
     """
     rng = np.random.default_rng(0)
-    points = [SurfaceSamples.of(e.mesh_world, rng, _SAMPLES).points for e in estimates.values()]
+    points = [SurfaceSamples.of(e.mesh_world, rng, SAMPLES).points for e in estimates.values()]
     surfaces = KDTree(np.concatenate([np.full((1, 3), 1e6), *points]))
     found: dict[int, list[Bool[np.ndarray, "h w"] | None]] = {id: [None] * len(frames) for id in ids}
     cleaned = [clean_frame(frame) for frame in frames]
@@ -88,7 +88,7 @@ def _agreed(
         ]
         kept = part.copy()
         kept[part & (frames[k].depth > 0)] = np.mean(others, axis=0) >= 0.5 if others else True
-        if kept.sum() >= _MIN_PIXELS:
+        if kept.sum() >= MIN_PIXELS:
             agreed[k] = kept
     return agreed
 
@@ -117,7 +117,7 @@ def _lost_part(
         return part
     distance = surfaces.query(points_of(frame, open_), distance_upper_bound=2 * FAR)[0]
     open_[open_] = distance > FAR
-    open_ &= ~beside_jumps(open_, frame.depth, _JUMP)
+    open_ &= ~beside_jumps(open_, frame.depth, JUMP)
     own, around = int(mask.sum()), _around(mask, frame)
     in_others = np.any([np.zeros_like(mask), *others], axis=0)
     for region in (~in_others, *others):
@@ -125,7 +125,7 @@ def _lost_part(
         size = np.bincount(labels.ravel(), minlength=count)
         for label in np.unique(labels[around & (labels > 0)]):
             piece = labels == label
-            fits = max(SMALLEST * own, _MIN_PIXELS) <= size[label] <= LARGEST * own
+            fits = max(SMALLEST * own, MIN_PIXELS) <= size[label] <= LARGEST * own
             if fits and _continues(piece & around, mask, frame.depth):
                 part |= piece
     return part
@@ -146,4 +146,4 @@ def _continues(
     if not beside.any() or not (contact & (depth > 0)).any():
         return False
     gap = abs(float(np.median(depth[contact & (depth > 0)]) - np.median(depth[beside])))
-    return gap < 2 * _JUMP
+    return gap < 2 * JUMP
